@@ -71,7 +71,7 @@ class HarvestEnv(DrawnEnv):
 
     ## Starting State
 
-    Fruit is drawn uniformly in a zone of 0.7 x 0.4 x 0.55 m somewhere on the tree's side. The cameras, 1 m before the
+    Fruit is drawn uniformly in a zone of 0.7 x 0.4 x 0.55 m somewhere on the tree's side. The cameras, 1 m from the
     tree, find some of it. The master stands at the pick point from which its slaves reach most of the fruit found. A
     zone without fruit in reach is drawn anew. The slaves are at rest. If a fruit still hangs after an attempt, the
     camera measures it again where it then hangs. The same leaves hide it, so the error is the same.
@@ -172,7 +172,9 @@ class HarvestEnv(DrawnEnv):
 
 
 class HarvestVectorEnv(NativeVectorEnv):
-    """N `pickenv/Harvest-v0` in one vector environment; the i-th has the seed ``seed + i`` and does not depend on N.
+    """N `pickenv/Harvest-v0` in one vector environment.
+
+    Environment i (from 0) has the seed ``seed + i``, and its numbers do not depend on N.
 
     Args:
         num_envs: N, the number of harvesters.
@@ -231,7 +233,7 @@ class HarvestVectorEnv(NativeVectorEnv):
         return draw_harvest(self.task, self.state, self._one(), row=row)
 
     def _one(self) -> Compensate | None:
-        """Compensator that all harvesters share, or None."""
+        """Return the compensator that all harvesters share, or None; refuse a sequence of one per harvester."""
         if self.compensator is None or callable(self.compensator):
             return self.compensator
         raise InputError("each harvester has several arms; give one compensator for all of them")
@@ -254,7 +256,7 @@ def draw_harvest(
         task: The task.
         states: State of one or more machines.
         compensate: Maps nominal joints of whole machines to joint commands, or None.
-        row: Index of the machine to draw.
+        row: Index of the machine to draw in ``states``, from 0.
         dark: Whether the background is dark.
     """
     state: batch.HarvestState = tree_map(lambda values: values[row : row + 1], states)
@@ -284,7 +286,13 @@ def draw_harvest(
 
 
 def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids:
-    """Return the solids of the master arm: the column, the boom, and the rail that carries the slaves."""
+    """Return the solids of the master arm: the column, the boom, and the rail that carries the slaves.
+
+    Args:
+        machine: The machine as designed.
+        joints: Joint command of the whole machine ``(joints,)``, rad or m.
+        pivots: Positions of the slaves' pivots ``(arms, 3)``, m.
+    """
     frame, foot = machine.frame3(joints[:3]), -machine.base_height
     axis, shoulder = np.array([0.0, 0.0, foot]), np.array([0.0, 0.0, frame[2]])
     ends = pivots[[0, -1]].copy()
@@ -303,7 +311,7 @@ def slave_solids(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids
 
     Args:
         pivots: Positions of the slaves' pivots ``(arms, 3)``, m.
-        tips: Positions of their cups ``(arms, 3)``, m.
+        tips: Positions of the slaves' cups ``(arms, 3)``, m.
         radius: Radius of the tubes, m.
     """
     ends = tips - 0.06 * UP
@@ -322,7 +330,10 @@ def _ghosts(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
 
 
 def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
-    """Return the solids of all fruit not collected. Fruit out of reach is green, and lost fruit has a third colour."""
+    """Return the solids of all fruit before the first machine of ``state`` that is not collected.
+
+    Ripe fruit in reach is red, fruit out of reach is green, and lost fruit has a third colour.
+    """
     hanging = state.status[0] != batch.COLLECTED
     colours = tree_shapes.fruit_colours(state.fruit.shape[1])
     colours[~state.reachable[0]] = tree_shapes.GREEN
@@ -332,7 +343,10 @@ def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
 
 
 def _cameras(task: batch.HarvestTask, joints: Array) -> arm_shapes.Solids:
-    """Return the solids of the stereo pair that looked at the zone from the aisle before the machine came."""
+    """Return the solids of the stereo pair, which took its pictures from the aisle before the machine came.
+
+    ``joints`` is the joint command of the whole machine ``(joints,)``, rad or m.
+    """
     frame = task.machine.frame3(joints[:3])
     eye = np.array([frame[0], 0.0, frame[2]])
     return arm_shapes.frustum_solids(eye, np.array([0.0, -1.0, 0.0]), (0.6, 0.45), 0.3, (110, 96, 160))
@@ -349,7 +363,10 @@ def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool
 
 
 def _eye(state: batch.HarvestState) -> Eye:
-    """Return a viewpoint (an `Eye`) behind the machine, to its side and above it; it is fixed during an episode."""
+    """Return a viewpoint that is fixed during an episode, on the machine's side of the trees.
+
+    It is 1.75 m in x, 1.9 m in y and 0.75 m in z from the point looked at. The trees are at negative y.
+    """
     fruit = state.fruit[0].mean(axis=0)
     target = np.array([0.45 * fruit[0], 0.62 * fruit[1], 0.95 * fruit[2]])
     return Eye(target + np.array([1.75, 1.9, 0.75]), target, 34.0)

@@ -24,7 +24,9 @@ Observations = dict[str, NDArray[np.float32]]
 
 
 class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArray[np.float32]]):  # type: ignore[misc]
-    """`pickenv/Harvest-v0` with several agents: ``master``, and ``slave_0`` to ``slave_5`` from left to right.
+    """`pickenv/Harvest-v0` with several agents: ``master``, and at most six slaves, ``slave_0`` to ``slave_5``.
+
+    Slaves are counted from left to right, as seen by someone who looks from the machine at the trees.
 
     Each agent's action space is a `Box(-1, 1, (3,))` of joint increments.
 
@@ -94,13 +96,20 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         return self._seen(), dict.fromkeys(names, reward), *ends, self._told(info)
 
     def state(self) -> NDArray[np.float32]:
-        """Return the part of the observation that all agents share, for centralised training."""
+        """Return the part of the observation that all agents share, for centralised training.
+
+        Raises:
+            InputError: If `reset` was not called before.
+        """
         if self._shared is None:
             raise InputError("state was called before reset; call reset first")
         return self._shared.copy()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the whole machine as in `pickenv/Harvest-v0`; return None without a render mode."""
+        """Return a picture of the whole machine ``(height, width, 3)`` as in `pickenv/Harvest-v0`.
+
+        Without a render mode return None.
+        """
         self._env.compensator = self.compensator
         return None if self.render_mode is None else cast(NDArray[np.uint8], self._env.render())
 

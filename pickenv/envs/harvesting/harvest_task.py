@@ -32,13 +32,13 @@ DRAWS = 100
 
 
 def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows: Any = slice(None)) -> dict[str, Array]:
-    """Check the fruit and the start joints that options of `reset` give, and return them.
+    """Check the options "fruit" and "start_joints" of `reset`, and return their values as arrays.
 
     Args:
         task: The task.
         options: The options. The value of an option is for all machines, or has one entry per machine.
         count: Number of machines.
-        rows: Indices of the machines whose values are returned, by default all.
+        rows: Indices (from 0) of the machines whose values are returned, by default all.
 
     Returns:
         A dict of arguments of `begin_zones`: "fruit", positions ``(machines, fruit, 3)``, and "joints" ``(machines,
@@ -77,7 +77,7 @@ def drawn_zone(
 
     Returns:
         The positions of the fruit ``(fruit, 3)``, m, its diameters, m, and how the cameras see it. Then the master's
-        joints at the pick point ``(3,)``, and flags of the located fruit that some arm reaches from there.
+        joints at the pick point ``(3,)``, and flags of the located fruit that some arm reaches from this point.
 
     Raises:
         InputError: If the cameras find no fruit in reach in `DRAWS` draws.
@@ -243,8 +243,8 @@ class HarvestState:
         located: Whether the camera found the fruit, (machines, fruit).
         reachable: Whether the fruit is located and some arm reaches it from the pick point, (machines, fruit).
         status: `HANGING`, `COLLECTED` or `LOST`, (machines, fruit).
-        busy: Number of periods for which each arm still senses and cuts, (machines, arms).
-        tried: Index of the fruit that each arm tried last and is still near, or -1, (machines, arms).
+        busy: Number of further periods for which each arm senses and cuts, (machines, arms).
+        tried: Index (from 0) of the fruit that each arm tried last, or -1 once the arm has left it, (machines, arms).
         periods: Number of periods since the start.
         held: Number of arms that the collision guard stopped in the last period.
         closest: Least distance between two arms' centre lines so far, m.
@@ -278,7 +278,7 @@ class HarvestState:
         return self.shift + self.swing
 
     def put(self, rows: NDArray[np.intp], other: HarvestState) -> None:
-        """Overwrite the states of the machines ``rows`` with those in ``other``."""
+        """Overwrite the states of the machines with the indices ``rows`` (from 0) by the states in ``other``."""
         for mine, theirs in zip(leaves(self), leaves(other), strict=True):
             mine[rows] = theirs
 
@@ -338,7 +338,10 @@ def begin_zones(
 
 
 def distances(task: HarvestTask, joints: Array) -> Array:
-    """Compute the least distance between two slave arms' centre lines, m, (machines,); `Rules.shown` for one slave."""
+    """Compute the least distance between two slave arms' centre lines, m, (machines,).
+
+    ``joints`` has the joints of whole machines (machines, joints). With a single slave the result is `Rules.shown`.
+    """
     machine = task.machine
     if machine.arms < 2:
         return np.full(len(joints), task.rules.shown)
@@ -420,9 +423,14 @@ def step(
 def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.int64], Array]:
     """Stop every slave arm whose move would bring it too near another one; change ``target`` in place.
 
+    Args:
+        task: The task.
+        start: Joints of whole machines before the move (machines, joints), rad or m.
+        target: Joints after the move, of the same shape; those of stopped arms are set back to ``start``.
+
     Returns:
-        The number of arms stopped, and the least distance between two arms' centre lines half way and afterwards, m,
-        (machines,) each.
+        The number of arms stopped, and the least distance between two arms' centre lines, m, (machines,) each. The
+        distance is the smaller of those half way and at the end of the move.
     """
     machine, n = task.machine, len(start)
     arms = machine.arms
@@ -450,7 +458,7 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
 def attempts(
     task: HarvestTask, state: HarvestState, tips: Array, rngs: Sequence[np.random.Generator]
 ) -> tuple[Array, Array]:
-    """Close the blade of each cup whose sensor detects a fruit, and compute the outcomes.
+    """Close the blade of each cup whose sensor detects a fruit, and compute the outcomes of these attempts.
 
     Args:
         task: The task.
@@ -495,9 +503,10 @@ def attempts(
 
 
 def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the indices of the cups that try a fruit, and of the fruit that each of them tries, (picks,) each.
+    """Return the indices (from 0) of the cups that try a fruit, and of the fruit that each tries, (picks,) each.
 
-    A cup tries the nearest fruit that no earlier cup tries; ``lateral`` has the distances, (arms, fruit).
+    ``lateral`` (arms, fruit) has the horizontal distances of fruit from cups, m, and infinity where a cup cannot try a
+    fruit. A cup tries the nearest fruit that no cup with a smaller index tries.
     """
     lateral, pairs = lateral.copy(), []
     for arm in range(len(lateral)):
@@ -510,10 +519,10 @@ def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def work_left(task: HarvestTask, state: HarvestState) -> Array:
-    """Compute the distance that the reward for progress compares, m, (machines,).
+    """Compute the distance whose decrease is rewarded as progress, m, (machines,).
 
-    The distances from each fruit that hangs in reach to the nearest believed cup are summed. The sum is divided by the
-    number of all fruit in the zone. Progress is the decrease of the result.
+    The distances from each fruit that hangs in reach, as the camera saw it, to the nearest cup are summed. Cups are
+    where the controller believes them to be. The sum is divided by the number of all fruit in the zone.
     """
     away = state.believed[:, None] - task.machine.tips(*task.machine.parted(state.joints))[:, :, None]
     distance = np.sqrt((away * away).sum(axis=-1)).min(axis=1)

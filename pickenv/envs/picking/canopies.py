@@ -25,7 +25,7 @@ from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
 ABSENT = np.zeros((), pick_scene.FRUIT)
-"""Record of an absent fruit, far away. It fills the array for canopies that have less fruit than the fullest one."""
+"""Record of an absent fruit, far away. Canopies with less fruit than the fullest one are filled up with it."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
 FUNNEL = ("visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
@@ -36,20 +36,22 @@ OWN = ("sight", "number", "still", "moments")
 
 
 class Canopies:
-    """The latest views of N picking arms, and the fruit before them.
+    """The fruit before N picking arms, and where the arms' tools are.
+
+    A fruit's index counts from 0 in its canopy. M is the number of fruit in the fullest canopy.
 
     Attributes:
         scenes: The scene of each canopy, which works on its part of `fruit`.
-        fruit: All fruit, (N, most fruit of a canopy).
-        omega: Natural frequencies of the fruit along x, y, z, rad/s, (N, most fruit of a canopy, 3).
+        fruit: All fruit, (N, M).
+        omega: Natural frequencies of the fruit along x, y, z, rad/s, (N, M, 3).
         present: Number of fruit in each canopy.
         held: Index of the fruit in each gripper, or -1.
         off: Whether the fruit in each gripper is detached from its stem.
         felt: Position of the fruit in each gripper as the gripper measures it, fruit minus tool, m, (N, 3).
         miss: Distance of the fruit from the tool at each arm's last grasp, across and along the tool's axis, m, (N, 2).
         counts: Number of fruit of each canopy that reached each stage of `FUNNEL`, (7, N).
-        sight: The latest views of the arms, as `pickenv.envs.picking.pick_arm.look_at_arm` returns them, followed by
-            their joint commands, (numbers, N).
+        sight: The tools' true and believed frames and the joint readings, in the layout of
+            `pickenv.envs.picking.pick_arm.BELIEVED` to `SIGHT`, then the joint commands, (numbers, N).
         number: Index of the fruit that each arm is to pick next.
         still: Time since each joint target moved, s.
         moments: Number of steps in each episode so far.
@@ -84,7 +86,7 @@ class Canopies:
                 scene.fruit = fruit[:present]
 
     def adopt(self, row: int, scene: pick_scene.PickScene) -> None:
-        """Put the canopy of ``scene`` before arm ``row``, and copy its fruit into the array."""
+        """Make ``scene`` the canopy of the arm with index ``row`` (from 0), and copy its fruit into `fruit`."""
         n = len(scene.rest)
         if n > self.fruit.shape[1]:
             before, self.fruit = self.fruit, np.full((self.count, n), ABSENT)
@@ -99,7 +101,10 @@ class Canopies:
         self._note(row)
 
     def choose(self, row: int) -> None:
-        """Set the fruit that arm ``row`` is to pick: the next waiting one, or unchanged if none is waiting."""
+        """Set the fruit that the arm with index ``row`` (from 0) is to pick: the next one that can still be tried.
+
+        If there is none, the present fruit stays.
+        """
         number = self.scenes[row].following(self.sight[BELIEVED][9:, row])
         self.number[row] = self.number[row] if number is None else number
 
@@ -107,7 +112,7 @@ class Canopies:
         """Let the fruit swing, let tools push fruit that they touch, and move held fruit with the grippers.
 
         Args:
-            going: Flags of the arms that are active, (N,).
+            going: Flags of the arms whose episode continues, (N,).
             before: True tool positions at the beginning of the period, m, (N, 3).
             period: Time that passes, s, (N,).
         """
@@ -134,10 +139,10 @@ class Canopies:
         """Compute the effects of the arms' moves on the fruit, and operate the grippers.
 
         Args:
-            going: Flags of the arms that are active, (N,); fruit before inactive arms does not change.
+            going: Flags of the arms whose episode continues, (N,); the fruit of all other arms does not change.
             before: True tool positions at the beginning of the period, m, (N, 3).
-            gripper: The grippers' commands, (N,).
-            stirred: Whether each joint target moved, (N,).
+            gripper: The grippers' commands, -1 to 1, (N,).
+            stirred: Whether each arm's joint target moved, (N,).
             period: Time that passes, s, (N,).
 
         Returns:
@@ -162,7 +167,10 @@ class Canopies:
         return np.asarray((self.held < 0) & (self._waiting() == 0))
 
     def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
-        """Return clipped observations ``(N, n + 17)``, or ``(N, n + 20)`` with feedback from the gripper."""
+        """Return the observations of `pickenv/Pick-v0`, clipped to the bounds ``low`` to ``high`` of its space.
+
+        They are ``(N, n + 17)`` for n joints, or ``(N, n + 20)`` with feedback from the gripper.
+        """
         n = self.task.joints
         sight, tools = self.sight, self.sight[BELIEVED][9:]
         positions = self.fruit["seen"][np.arange(self.count), self.number].T
@@ -194,7 +202,7 @@ class Canopies:
         }
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all arrays that the next step depends on: views of the arms, all fruit, and the grippers."""
+        """Return all arrays that the next step depends on: `sight`, counters, all fruit, and what the grippers hold."""
         hands = zip(self.held, self.scenes, strict=True)
         grips = [[number, *scene.miss, *scene.grip, scene.detached_at] for number, scene in hands]
         each = structured_to_unstructured(np.concatenate([scene.fruit for scene in self.scenes]))
@@ -218,7 +226,7 @@ class Canopies:
         return np.asarray(self.counts[REACHABLE] - self.counts[ATTEMPTED])
 
     def _note(self, row: int) -> None:
-        """Update the arrays after a change in the scene of arm ``row``, such as a grasp, a push or a twist."""
+        """Update the arrays after a grasp, a push or a twist in the scene of the arm with index ``row`` (from 0)."""
         scene = self.scenes[row]
         self.counts[:, row] = [np.count_nonzero(scene.fruit[stage]) for stage in FUNNEL]
         self.handling[row] = self.orchard.station.handling(*self.counts[[ATTEMPTED, COLLECTED], row])
@@ -238,7 +246,7 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
 
     Args:
         canopies: One or more arms before their canopies.
-        row: Index of the arm to draw.
+        row: Index of the arm to draw, from 0.
         dark: Whether the background is dark.
     """
     nominal, sight, scene = canopies.task.plant.arm.nominal, canopies.sight[:, row], canopies.scenes[row]
@@ -269,7 +277,8 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
 def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
     """Return the solids of the fruit that hangs or is in the gripper.
 
-    Reachable fruit has the colour of ripe fruit, fruit out of reach is green, and missed fruit has a third colour.
+    Reachable fruit has the colour of ripe fruit, and fruit out of reach is green. Fruit that the gripper closed on but
+    did not take has a third colour.
     """
     present = ~scene.collected & ~(scene.damaged & scene.detached)
     if scene.held is not None:
@@ -292,7 +301,7 @@ def camera_solids(orchard: pick_scene.PickSetting) -> Solids:
 
 
 def trees_of(orchard: pick_scene.PickSetting) -> tuple[Mesh, ...]:
-    """Return the meshes of the section of canopy before the arm."""
+    """Return the meshes of the trees in the section of canopy that holds the fruit."""
     canopy = orchard.canopy
     ends = np.array([[-canopy.width / 2, 0.0, canopy.bottom], [canopy.width / 2, canopy.depth, canopy.top]])
     corners = pick_scene.to_base(orchard, ends)
@@ -306,7 +315,10 @@ def ground_of(orchard: pick_scene.PickSetting) -> float:
 
 
 def pick_eye(orchard: pick_scene.PickSetting) -> Eye:
-    """Return a viewpoint (an `Eye`) behind the arm, to its side and above it."""
+    """Return a viewpoint on the arm's side of the trees, which stand at negative y in the base frame.
+
+    It is 1.35 m in x, 2.15 m in y and 0.75 m in z from the point looked at.
+    """
     canopy = orchard.canopy
     face = pick_scene.to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
     target = face * [0.62, 0.62, 0.62]

@@ -26,8 +26,9 @@ class PickEnv(ArmEnv):
     ## Description
 
     A six-joint picking arm (Qiao 2026) stands before a section of canopy, 0.9 m wide and 0.8 m high, that holds some
-    ten fruit. The environment chooses the next fruit among those that the camera found within reach and that were not
-    tried yet. By default it is the nearest to the believed tool (see `order`). Each fruit can be tried once. The policy
+    ten fruit. The environment chooses the present fruit, which is to be picked next, among those that the camera found
+    within reach and that were not tried yet. By default it is the nearest to the believed tool (see `order`). Each
+    fruit can be tried once. The policy
     commands the *nominal* arm, that is the model that its controller believes in. But the *true* arm moves. It also
     vibrates after every move, so that haste costs accuracy. The gripper takes a fruit if the true tool is near enough
     to it. A failed grasp pushes neighbouring fruit aside, as does a tool that touches fruit on its way. The pushed
@@ -69,10 +70,10 @@ class PickEnv(ArmEnv):
     | 19    | share of 400 steps that is left                                      | 0    | 1    | 1    |
     | 20    | a fruit is in the gripper and on its stem                            | 0    | 1    | 1    |
     | 21    | a fruit is in the gripper and off its stem                           | 0    | 1    | 1    |
-    | 22    | fruit still to try, in fifties                                       | 0    | 1    | 1    |
+    | 22    | number of fruit still to try, divided by 50                          | 0    | 1    | 1    |
     | 23-25 | held fruit minus tool position, as the gripper measures it           | -0.1 | 0.1  | m    |
 
-    R is an upper bound of the arm's reach plus 1 m.
+    R is an upper bound of the arm's reach plus 1 m. A tool is upright if it points straight up.
 
     ## Rewards
 
@@ -99,7 +100,7 @@ class PickEnv(ArmEnv):
     - `"fruit"`, positions (n, 3) in the base frame in m;
     - `"start_joints"` (rad and m);
     - `"hours"` (h), for which the arm has been switched on, in place of `hours_on`;
-    - where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
+    - where `arms` is not "fixed", `"arm"`, the index of the arm in the population, from 0.
 
     All random numbers are drawn from `np_random` in `reset`. What happens afterwards depends only on the actions, and a
     seed gives the same fruit to every arm.
@@ -134,7 +135,7 @@ class PickEnv(ArmEnv):
     | `joint_command`     | joint command that the drives got                                   | rad, m |
     | `tool_position`     | true tool position                                                  | m    |
     | `fruit_position`    | true position of the present fruit                                  | m    |
-    | `fruit_number`      | index of the present fruit                                          |      |
+    | `fruit_number`      | index of the present fruit, from 0                                  |      |
 
     The way to a fruit, settling, twisting and the retreat are simulated. `duration_s` adds three times that are not
     simulated: 1.0 s for each grasp, in which the gripper takes hold, 2.0 s for each fruit's way to the bin and back,
@@ -246,7 +247,7 @@ class PickEnv(ArmEnv):
         return None if self.canopies is None else draw_pick(self.canopies, dark=self.dark)
 
     def _look(self, canopies: Canopies, state: ArmState, dt: Scalar) -> None:
-        """Simulate ``dt`` seconds at the joint target of ``state``, and store the view of the arm in ``canopies``."""
+        """Simulate ``dt`` seconds at the joint target of ``state``, and store the result in ``canopies.sight``."""
         sight, command = self._looked(state, int(canopies.moments[0]), dt)
         canopies.sight[:, 0] = self._plain([*sight, *command])
 

@@ -82,13 +82,15 @@ STIRRED = 1e-9
 
 
 BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
-"""Positions of the numbers in a view of the arm. `BELIEVED` is the frame of the believed tool, and `TOOL` the tool's
-true frame. `TURN` is the rotation vector from the believed attitude to upright, rad. `TILT` is the angle between the
-true tool's axis and the vertical, deg. The joint readings, scaled to the limits, begin at `SIGHT`."""
+"""Indices of the numbers that `look_at_arm` returns about an arm. `BELIEVED` is the frame of the believed tool, and
+`TOOL` the tool's true frame. `TURN` is the rotation vector from the believed attitude to upright, rad. `TILT` is the
+angle between the true tool's axis and the vertical, deg. The joint readings, scaled to the limits, begin at `SIGHT`."""
 
 
 def act_arm(x: Executor, task: Task, state: ArmState, action: Scalars) -> tuple[ArmState, Scalar, Scalar, Scalar]:
-    """Move the joint target by an action, or by an earlier action if actions are delayed.
+    """Move the joint target by ``action``, or by an earlier action if actions are delayed.
+
+    An action has one share of the largest increment (-1 to 1) per joint, then the gripper's command.
 
     Returns:
         The state with its new target, the gripper's command, whether the target moved, and the length of the period
@@ -112,7 +114,7 @@ def look_at_arm(
     `pickenv.envs.shared.simulation.look` explains the arguments.
 
     Returns:
-        The state afterwards, and the view of the arm, in the layout of `BELIEVED` to `SIGHT`.
+        The state afterwards, and the numbers measured, in the layout of `BELIEVED` to `SIGHT`.
     """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = simulation.nominal_readings(x, plant, plant_state, state.target, command)
@@ -124,7 +126,7 @@ def look_at_arm(
 
 
 def upright_turn(m: ModuleType, axis: Scalars) -> simulation.Components:
-    """Compute the rotation vector (rad, 3) of the shortest rotation that turns a unit vector upright."""
+    """Compute the rotation vector (rad, 3) of the shortest rotation that turns the unit vector ``axis`` to +z."""
     ax, ay, az = axis
     sine = m.sqrt(ax * ax + ay * ay)
     scale = m.atan2(sine, az) / (sine + 1e-30)

@@ -49,7 +49,7 @@ class PickSetting:
         gripper: Tolerances of the gripper.
         branch: The branch that fruit hangs from.
         detachment: Distribution of the loads that detach fruit.
-        station: Place of the canopy before the arm, and constants of the approach from below.
+        station: Where the canopy stands in the arm's base frame, and constants of the approach from below.
         looks: Number of images that the camera averages.
         eyes: The stereo pair that sees fruit instead of `camera`, or None.
         order: Order in which fruit is picked, a key of `ORDERS`.
@@ -81,7 +81,7 @@ ORDERS: dict[str, tuple[float, float, float] | None] = {
 frame) means that the fruit with the smallest coordinate along it is next."""
 
 PUBLISHED = "published"
-"""Name of the vision that uses a camera's published errors; `pickenv.orchard.VISIONS` names the others."""
+"""Value of the argument `vision` for a camera's published errors; `pickenv.orchard.VISIONS` has all other values."""
 
 
 def to_base(orchard: PickSetting, positions: Array) -> Array:
@@ -101,8 +101,8 @@ def _origin(orchard: PickSetting) -> Array:
 
 Contact = tuple[Array, Array, Array, Flags]
 """Contacts of fruit with a tool, in four arrays. The first is the vector from the tool's axis to each fruit, m,
-(..., n, 3). The others, (..., n) each, are the length of that vector, how far the tool is inside the fruit, m, and
-whether it touches the fruit."""
+(..., n, 3). The next three, (..., n) each, are the length of that vector, m, how far the tool is inside the fruit, m,
+and whether the tool touches the fruit."""
 
 
 def contact(station: trees.Station, positions: Array, diameters: Array, point: Array, axis: Array) -> Contact:
@@ -114,8 +114,8 @@ def contact(station: trees.Station, positions: Array, diameters: Array, point: A
         station: The station, which has the tool's radius and length.
         positions: Positions of the fruit, m, shape (..., n, 3).
         diameters: Diameters of the fruit, m, shape (..., n).
-        point: Position of the tool's point, m, shape (..., 3).
-        axis: Direction of the tool's axis, shape (..., 3).
+        point: Position of the tool's upper end, m, shape (..., 3).
+        axis: Unit vector in which the tool points, shape (..., 3).
     """
     away = positions - point[..., None, :]
     along = _dot(away, axis[..., None, :])
@@ -146,7 +146,7 @@ Fruit = NDArray[np.void]
 
 
 class PickScene:
-    """All fruit of an episode and its present state. Arrays have one entry per fruit.
+    """All fruit of one episode, with the present state of each. Arrays have one entry per fruit, in one order.
 
     Attributes:
         orchard: The orchard, the camera and the gripper.
@@ -168,9 +168,9 @@ class PickScene:
         detached: Whether the fruit came off its stem.
         collected: Whether the fruit is collected.
         damaged: Whether the fruit is damaged.
-        held: Index of the fruit in the gripper, or None.
+        held: Index (from 0) of the fruit in the gripper, or None.
         miss: Distance of the fruit from the tool at the last grasp, across and along the tool's axis, m.
-        grip: Displacement (as in `displacement`) of the fruit in the gripper, minus the tool's position, m.
+        grip: The held fruit's `displacement` minus the tool's position, m, shape (3,); constant while it is held.
         detached_at: Height of the believed tool when the fruit in the gripper came off its stem, m.
     """
 
@@ -209,7 +209,10 @@ class PickScene:
         return np.zeros(3) if self.held is None else self.rest[self.held] + self.grip + self.noise[self.held]
 
     def following(self, tool: ArrayLike) -> int | None:
-        """Return the index of the waiting fruit to pick next, given the tool position (3,), m; None if none waits."""
+        """Return the index (from 0) of the fruit to pick next, or None if no fruit can still be tried.
+
+        ``tool`` is the position of the believed tool (3,), m.
+        """
         waiting = np.flatnonzero(self.waiting)
         if not waiting.size:
             return None
@@ -218,7 +221,7 @@ class PickScene:
         return int(waiting[np.argmin(rank)])
 
     def carry(self, point: Array, moved: Array) -> None:
-        """Move the held fruit and its branch with the tool, whose point moved by ``moved`` to ``point``, (3,), m."""
+        """Move the held fruit and its branch with the tool, whose upper end moved by ``moved`` to ``point`` (3,), m."""
         assert self.held is not None
         self._push(self.rest[self.held], moved)
         self.displacement[self.held] = self.grip + point
@@ -229,7 +232,7 @@ class PickScene:
 
         Args:
             found: Contacts of all fruit with the tool.
-            target: Index of the fruit to pick, which is not pushed if it is above the tool's opening.
+            target: Index (from 0) of the fruit to pick, which is not pushed if it is above the tool's opening.
             moved: Motion of the tool in the period (3,), m.
             dt: Length of the period, s.
         """
@@ -248,7 +251,7 @@ class PickScene:
 
         Args:
             share: The command, -1 to 1.
-            number: Index of the fruit to pick.
+            number: Index of the fruit to pick, from 0.
             believed: Frame of the believed tool, by which the controller decides what the gripper does.
             tool: The tool's true frame, which decides the outcome.
         """
@@ -266,7 +269,10 @@ class PickScene:
             self.detached_at = believed[11]
 
     def grasp(self, i: int, tool: Frame) -> None:
-        """Close the gripper on fruit ``i``, which cannot be tried again; ``tool`` is the tool's true frame."""
+        """Close the gripper on the fruit with index ``i`` (from 0), which then cannot be tried again.
+
+        ``tool`` is the tool's true frame.
+        """
         point, axis = np.array(tool[9:]), np.array(tool[6:9])
         lateral, axial, angle = trees.misalignment(self.positions[i] - point, axis, UP)
         probability = trees.capture_probability(self.orchard.gripper, lateral, axial, angle, self.diameters[i])
@@ -280,7 +286,10 @@ class PickScene:
         self._push(self.positions[i], self.orchard.station.knock * away / max(float(np.linalg.norm(away)), 1e-9))
 
     def twist(self, share: float) -> None:
-        """Twist the held fruit by a share of the largest torque, and detach it if torque or pull reaches its limit."""
+        """Twist the held fruit with ``share`` (0 to 1) of the largest torque; negative shares count as 0.
+
+        The fruit comes off its stem if the torque or the branch's pull reaches the fruit's limit.
+        """
         i, branch = self.held, self.orchard.branch
         assert i is not None
         spring = np.array([branch.stiffness_sideways] * 2 + [branch.stiffness_upright])
@@ -303,7 +312,10 @@ class PickScene:
         self.held = None
 
     def _push(self, contact: Array, push: Array) -> None:
-        """Displace the fruit around the point ``contact`` by ``push`` (3,), m; no displacement exceeds its bound."""
+        """Displace the fruit around the point ``contact`` by ``push``, (3,) each, m.
+
+        No fruit's displacement from rest exceeds the `most_push` of the orchard's `station`.
+        """
         displacement = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
         far = np.linalg.norm(displacement, axis=1, keepdims=True)
         self.displacement[:] = displacement * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
@@ -354,8 +366,8 @@ def _given_fruit(given: Any) -> Array:
 def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
     """Make a scene of fruit, drawn or given, as the camera sees it; return None if no fruit was drawn.
 
-    `reachable` of this scene marks the fruit that is seen and has a free path from below, whether or not the arm
-    reaches it.
+    ``given`` has positions (n, 3), m, base frame, or is None to draw fruit. The flags `reachable` of this scene mark
+    the fruit that is seen and has a free path from below, whether or not the arm reaches it.
     """
     if given is None:
         positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
@@ -529,8 +541,8 @@ def given_hours(hours: Any, count: int | None = None) -> Array:
 
 
 PickStart = tuple[PickScene, int | None, int]
-"""What is drawn for an episode: the fruit, the index of the true arm (None if there is only one), and the key of the
-random streams that the situation (delays and noise) uses."""
+"""What is drawn for an episode: the fruit, the index (from 0) of the true arm (None if there is only one), and the key
+of the random streams that the situation (delays and noise) uses."""
 
 
 def draw_starts(task: Task, orchard: PickSetting, reach: Reach, episodes: Sequence[tuple[Any, ...]]) -> list[PickStart]:
@@ -540,10 +552,10 @@ def draw_starts(task: Task, orchard: PickSetting, reach: Reach, episodes: Sequen
         task: The arm's task.
         orchard: The orchard, the camera and the gripper.
         reach: Test of what the arm reaches.
-        episodes: For each episode four values. The first is its random generator. The second is the index of the true
-            arm in the environment's last episode, or None. The third is fruit positions (n, 3), base frame, m, or None
-            to draw fruit. The fourth is the index of the true arm that the user wants, or None. With `arms="per_env"`
-            the last arm stays if there is one.
+        episodes: For each episode four values. The first is its random generator. The second is the index (from 0) of
+            the true arm in the environment's last episode, or None. The third is fruit positions (n, 3), base frame, m,
+            or None to draw fruit. The fourth is the index of the true arm that the user wants, or None. With
+            `arms="per_env"` the arm of the last episode stays if there was one.
 
     Raises:
         InputError: If no fruit is within reach, or the population has no arm with a given index.

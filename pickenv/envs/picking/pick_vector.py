@@ -27,8 +27,8 @@ from pickenv.pictures.stage import Stage
 class PickVectorEnv(NativeVectorEnv):
     """N `pickenv/Pick-v0` in one vector environment.
 
-    Environment i returns the same numbers as a single `pickenv/Pick-v0` with the seed ``seed + i``, whatever N is. They
-    are equal to the bit if the single environment has `executor="numpy"`.
+    Environment i (from 0) returns the same numbers as a single `pickenv/Pick-v0` with the seed ``seed + i``, whatever N
+    is. They are equal to the bit if the single environment has `executor="numpy"`.
 
     `reset(options={"reset_mask": mask})` begins episodes where the mask is True; the other environments continue. The
     other options are those of `pickenv/Pick-v0`. Each has one value for all environments, or one value for each:
@@ -77,8 +77,8 @@ class PickVectorEnv(NativeVectorEnv):
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
         self._ahead: dict[int, tuple[Any, pick_scene.PickStart]] = {}
-        """Start of the next episode, if it is drawn already, by index of the environment, after the generator's state
-        before the draw."""
+        """Starts of next episodes that are drawn already, by index of the environment (from 0). Each is a pair: the
+        state of the environment's random generator before the draw, and the start."""
 
     @property
     def plant(self) -> Plant:
@@ -161,7 +161,10 @@ class PickVectorEnv(NativeVectorEnv):
 
 
 def _each(options: Information, name: str, count: int, rank: int) -> list[Any]:
-    """Return the values of option ``name``, one per environment, whether given once for all or once for each."""
+    """Return the values of option ``name``, one for each of ``count`` environments.
+
+    The option's value is used for all environments if it has fewer than ``rank`` axes, else it has an entry for each.
+    """
     values = options.get(name)
     if values is None or np.ndim(values) < rank:
         return [values] * count
@@ -177,7 +180,7 @@ class PickBatch(NumpyArms):
     """The state of N picking arms.
 
     Attributes:
-        canopies: The fruit before the arms, and the latest views of the arms.
+        canopies: The fruit before the arms, and where the arms' tools are.
     """
 
     def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
@@ -197,12 +200,13 @@ class PickBatch(NumpyArms):
         """Begin an episode in the environments ``rows``.
 
         Args:
-            rows: Indices of the environments.
+            rows: Indices of the environments, from 0.
             starts: What was drawn for each environment: its fruit, true arm, and key of its random streams.
-            joints: Joint targets to start from ``(rows, n)``, or None.
+            joints: Joint targets to start from ``(len(rows), n)``, rad or m. None draws them or starts at mid-range, as
+                the task says.
             compensate: Turns joint targets into joint commands, or None.
-            hours: Time for which each arm has been switched on ``(rows,)``, h, or None for the time of the task's
-                situation.
+            hours: Time for which each arm has been switched on ``(len(rows),)``, h, or None for the time of the
+                task's situation.
         """
         x, task, canopies = self.x, self.task, self.canopies
         scenes, arms, words = zip(*starts, strict=True)
@@ -225,8 +229,8 @@ class PickBatch(NumpyArms):
         """Act in all environments, and return the rewards.
 
         Args:
-            actions: Actions component by component, ``(n + 1, N)``.
-            going: Flags ``(N,)`` of the environments in which fruit may change; the others get no reward.
+            actions: Actions component by component, ``(n + 1, N)``; the last component is the gripper's.
+            going: Flags ``(N,)`` of the environments in which fruit may change; all other environments get reward 0.
             compensate: Turns joint targets into joint commands, or None.
         """
         before = self.canopies.sight[TOOL][9:].T.copy()

@@ -21,13 +21,13 @@ from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensators, Task
 
 
 class Views(NamedTuple):
-    """The views of many environments, in arrays with one column per environment; `simulation.View` explains the parts.
+    """All that is measured and true in many environments at one moment: a `simulation.View` of each as one column.
 
     Attributes:
         observation: Parts of the observation, each an array ``(k, count)`` of float32.
         reward: Rewards ``(count,)``.
         success: Whether the fruit is inside the capture region, ``(count,)``.
-        numbers: The errors that `simulation.NUMBER_KEYS` names, ``(4, count)``.
+        numbers: The errors that `simulation.NUMBER_KEYS` names, mm or deg, ``(4, count)``.
         vectors: The vectors of `simulation.View.vectors`, ``(12 + n, count)``. It has no rows, or is None, if
             `Batch.poses` is False.
     """
@@ -44,7 +44,7 @@ class Batch(ArmBatch, ABC):
 
     Attributes:
         goal_dict: Whether observations are goal dictionaries, and rewards are computed from them.
-        poses: Whether views hold pose errors, joint commands and positions.
+        poses: Whether `Views` hold pose errors, joint commands and positions.
     """
 
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
@@ -53,15 +53,18 @@ class Batch(ArmBatch, ABC):
 
     @abstractmethod
     def show(self, rows: Rows, compensate: Compensators | None) -> Views:
-        """Return the views of the environments ``rows`` at the beginning of their episodes."""
+        """Return the `Views` of the environments ``rows`` (indices) at the beginning of their episodes.
+
+        ``compensate`` turns joint targets into joint commands, or is None.
+        """
 
     @abstractmethod
     def advance(self, actions: Scalar, moments: Words, compensate: Compensators | None) -> Views:
-        """Act in all environments, and return their views after one period.
+        """Act in all environments, and return their `Views` after one period.
 
         Args:
             actions: Actions component by component, ``(n, N)``.
-            moments: Index of the step in each environment's episode, ``(N,)``.
+            moments: Number of steps in each environment's episode, this one included, ``(N,)``.
             compensate: Turns joint targets into joint commands, or None.
         """
 
@@ -76,19 +79,19 @@ class Batch(ArmBatch, ABC):
         frames: Array | None = None,
         arm: NDArray[np.intp] | None = None,
     ) -> None:
-        """Begin an episode in each of the environments ``rows``; their number is ``count``.
+        """Begin an episode in each of ``count`` environments.
 
         Args:
-            rows: Indices of the environments.
+            rows: Indices of the environments ``(count,)``, from 0.
             seeds: Seeds of the environments' random streams ``(count,)``.
-            episodes: Index of each environment's episode ``(count,)``.
+            episodes: Index of each environment's episode ``(count,)``, from 0.
             compensate: Turns joint targets into joint commands, or None.
             start: Joint targets ``(count, n)``, rad or m. With None they are drawn if the task has a spread of starts,
                 else at mid-range.
             goal: Joints of wanted poses ``(count, n)``, or None.
-            frames: Frames of wanted poses ``(count, 12)``, or None. Poses are drawn if neither ``goal`` nor ``frames``
-                is given.
-            arm: Indices of true arms in the population ``(count,)``, or None to draw them.
+            frames: Frames of wanted poses ``(count, 12)``, m, base frame, or None. Poses are drawn if neither ``goal``
+                nor ``frames`` is given.
+            arm: Indices (from 0) of true arms in the population ``(count,)``, or None to draw them.
         """
         x, task, places = self.x, self.task, self.indices(rows)
         keys = episode_key(x, self.words(seeds), self.words(episodes))
@@ -109,7 +112,10 @@ class Batch(ArmBatch, ABC):
             self.write(self.columns, some, state.columns)
 
     def scene(self, row: int, compensate: Compensators | None) -> simulation.View:
-        """Return the present view of environment ``row`` as Python floats; no time passes."""
+        """Return all that is measured and true in environment ``row`` (from 0) now, as Python floats; no time passes.
+
+        ``compensate`` turns joint targets into joint commands, or is None.
+        """
         place = self.indices(np.array([row]))
         state = self.state_of([column[place] for column in self.columns])
         command, key = self.commands(compensate, list(state.target), place), self.keys[place]
@@ -118,7 +124,7 @@ class Batch(ArmBatch, ABC):
         return simulation.View(*plain)  # type: ignore[arg-type]
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
-        """Copy the views ``out`` of all environments, and replace those of the environments ``rows`` by ``some``."""
+        """Return a copy of the `Views` ``out`` of all environments, in which ``some`` replaces the columns ``rows``."""
         out, places = deepcopy(out), self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):
             all_[..., places] = few
@@ -130,7 +136,10 @@ class Batch(ArmBatch, ABC):
         return (n + 3, goal, goal) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
 
     def _draw_goals(self, keys: Scalar) -> Columns:
-        """Draw the joints of wanted poses: for each episode the first pose of its random stream that fits the task."""
+        """Draw joints (n components) of a wanted pose for each of the episodes with the keys ``keys``.
+
+        An episode gets the first pose of its random stream that fits the task.
+        """
         task, streams = self.task, stream_key(self.x, keys, GOAL)
         joints = list(self.numbers(np.zeros((task.joints, len(keys)))))
         open_ = self.indices(np.arange(len(keys)))
@@ -168,7 +177,7 @@ class NumpyBatch(NumpyArms, Batch):
         return out
 
     def show(self, rows: Rows, compensate: Compensators | None) -> Views:
-        """Return the views of the environments ``rows`` at the beginning of their episodes."""
+        """Return the `Views` of the environments ``rows`` at the beginning of their episodes; see `Batch.show`."""
         out = self._empty(len(rows))
         for a, b in self.blocks(len(rows)):
             some, still = rows[a:b], np.zeros(b - a, dtype=np.uint64)
@@ -187,7 +196,18 @@ class NumpyBatch(NumpyArms, Batch):
         moments: Words,
         dt: Scalar,
     ) -> None:
-        """Simulate ``dt`` seconds for the environments ``where``, and write their views into ``out`` at ``place``."""
+        """Simulate ``dt`` seconds for some environments, and write what is measured and true then into ``out``.
+
+        Args:
+            out: The arrays to write into.
+            place: Columns of ``out`` to write.
+            where: Indices or slice of the environments; ``state`` and ``plant`` hold their states and true arms.
+            state: States of the environments.
+            plant: True arms of the environments.
+            compensate: Turns joint targets into joint commands, or None.
+            moments: Number of steps in each environment's episode, 0 at its start.
+            dt: Time, s.
+        """
         x, task = self.x, self.task
         command = self.commands(compensate, list(state.target), where)
         state, scene = simulation.look(x, task, plant, state, command, self.keys[where], moments, dt)

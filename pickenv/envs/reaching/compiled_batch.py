@@ -31,7 +31,7 @@ class CompiledBatch(NumpyBatch):
         self.remake()
 
     def remake(self) -> None:
-        """Put the state into one array and the arms' numbers into another, and discard all compiled code."""
+        """Copy the state into one array and the true arms' numbers into another, and discard all compiled code."""
         self._table = np.array(self.columns)
         self.columns = list(self._table)
         self._arms = np.array([values for values in arrays_of(self.plant) if values.ndim == 1])
@@ -59,7 +59,10 @@ class CompiledBatch(NumpyBatch):
         return out
 
     def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Run one part of the step on ``arrays``: "act", "look", or "step" for both."""
+        """Run one part of the step on ``arrays``, the inputs and outputs by name.
+
+        The ``part`` is "act" (move the joint targets), "look" (simulate and measure), or "step" for both.
+        """
         if part not in self._code:
             with naming_effects(self.plant, "compiled"):
                 self._code[part] = self._compiled(part)
@@ -78,12 +81,15 @@ class CompiledBatch(NumpyBatch):
         return Compiled(trace, goals, self.count)
 
     def _remembered(self, trace: Trace, state: simulation.ArmState) -> Goals:
-        """Return the outputs of the trace for the numbers of the state that a step changes."""
+        """Return the outputs of ``trace`` (recorded operations) for the numbers of ``state`` that a step changes."""
         changed = trace.outputs("columns", state.columns[self.fixed :], DOUBLE, self.fixed)
         return trace.outputs("columns", state.columns[: self.task.joints]) + changed
 
     def _looked(self, trace: Trace, state: simulation.ArmState, command: Sequence[Traced]) -> Goals:
-        """Return the outputs of the trace for the changed state and for the views after a joint command."""
+        """Record the simulation of one period at a joint command, and return the outputs of ``trace`` for it.
+
+        The outputs are the changed state, and the parts of `pickenv.envs.reaching.batch.Views`.
+        """
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
         period = task.situation.value("period", state.drawn)

@@ -25,7 +25,7 @@ from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
 
 FRUIT = 0.06
-"""Diameter of the drawn fruit. The reach task itself has only the fruit's position."""
+"""Diameter of the drawn fruit, m. The reach task itself has only the fruit's position."""
 
 
 def draw_reach(task: Task, scene: simulation.View, dark: bool) -> Stage:
@@ -35,7 +35,7 @@ def draw_reach(task: Task, scene: simulation.View, dark: bool) -> Stage:
 
     Args:
         task: The task.
-        scene: The view of the environment, whose numbers are floats.
+        scene: All that is measured and true in the environment now, as floats.
         dark: Whether the background is dark.
     """
     nominal, tolerance_mm = task.plant.arm.nominal, task.tolerance_mm
@@ -112,9 +112,10 @@ class ReachEnv(ArmEnv):
 
     With e the distance between true tool and fruit in mm and t the angle between true and wanted attitude in degrees:
 
-    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region, 1.30 (the cost at both default
-      tolerances) is subtracted as well, so that every failure scores below every success. The reward goes from about
-      -5.7 (far away) to 0 (perfect). Well above a millimetre, reducing e tenfold adds about 1, whatever e is.
+    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region (e above `tolerance_mm`, or t above
+      `angle_tolerance_deg`), 1.30 (the cost at both default tolerances) is subtracted as well, so that every failure
+      scores below every success. The reward goes from about -5.7 (far away) to 0 (perfect). Well above a millimetre,
+      reducing e tenfold adds about 1, whatever e is.
     - sparse: 0 while the fruit is inside the capture region, else -1.
 
     ## Starting State
@@ -128,9 +129,9 @@ class ReachEnv(ArmEnv):
     - the goal as one of `"goal_joints"` (rad and m), `"goal_position"` (x, y, z in m; the attitude is the arm's own
       there, within `max_tilt_deg`) and `"goal_pose"` (x, y, z and a rotation vector, m and rad; the part of the
       rotation that the arm cannot reach counts as `noncompensable_deg`), in the base frame;
-    - where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
+    - where `arms` is not "fixed", `"arm"`, the index of the arm in the population, from 0.
 
-    Every random number is a hash of the seed and the episode's number (`pickenv.envs.shared.backends`). A reset without
+    Every random number is a hash of the seed and the episode's index (`pickenv.envs.shared.backends`). A reset without
     a seed begins the next episode of the last seed. An environment gives the same episodes alone, in a `SyncVectorEnv`
     and in the native vector environment.
 
@@ -281,7 +282,10 @@ class ReachEnv(ArmEnv):
         return draw_reach(self.task, scene, self.dark)
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
-        """Return the observation and the reward of a view; subclasses with other observations override this method."""
+        """Return the observation and the reward for what ``scene`` says is measured and true now.
+
+        Subclasses with other observations override this method.
+        """
         reward: Scalar = simulation.true_reward(self._x, self.task, scene)
         return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 

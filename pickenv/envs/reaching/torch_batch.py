@@ -34,16 +34,16 @@ Tensor = torch.Tensor
 
 
 class TorchBatch(Batch):
-    """The state of N reach tasks in tensors; see `pickenv.envs.reaching.batch.Batch`.
+    """The state of N reach tasks in tensors; `pickenv.envs.reaching.batch.Batch` explains the methods.
 
     Args:
         task: The task that all environments have in common.
         count: N.
         goal_dict: Whether observations are goal dictionaries, from which rewards are computed.
-        poses: Whether views hold pose errors, joint commands and positions.
+        poses: Whether `Views` hold pose errors, joint commands and positions.
         device: "cpu", "cuda", ...
         dtype: "float64" or "float32".
-        compiled: Whether the step is compiled.
+        compiled: Whether the step is compiled by `torch.compile`; if not, it runs eagerly.
 
     Raises:
         InputError: If the device cannot be used, or the number type is unknown.
@@ -147,7 +147,7 @@ class TorchBatch(Batch):
         return self._outcome(out[n + memory :], self.columns[n + 9 : n + 12])
 
     def show(self, rows: Rows, compensate: Compensators | None) -> Views:
-        """Return the views of the environments ``rows`` at the beginning of their episodes."""
+        """Return the `Views` of the environments ``rows`` at the beginning of their episodes; see `Batch.show`."""
         n, places = self.task.joints, self.indices(rows)
         columns, keys = [column[places] for column in self.columns], self.keys[places]
         commands, still = self.commands(compensate, columns[:n], places), torch.zeros_like(keys)
@@ -157,17 +157,21 @@ class TorchBatch(Batch):
         return self._outcome(out[memory:], columns[n + 9 : n + 12])
 
     def _act(self, columns: Columns, actions: Columns, *rest: Any) -> Columns:
-        """Act without a compensator; return the new joint targets, then the columns of `_shown`."""
+        """Act without a compensator; return the new joint targets, then the columns that `_shown` returns.
+
+        ``rest`` has the arguments of `_shown` after ``commands``.
+        """
         state = simulation.act(self.x, self.task, self.state_of(columns), actions)
         return [*state.target, *self._shown(state.columns, list(state.target), *rest)]
 
     def _shown(
         self, columns: Columns, commands: Columns, keys: Tensor, when: Tensor, dt: Scalar, plant: Plant | None = None
     ) -> Columns:
-        """Return the columns of memory, observation, reward, numbers and vectors, all in one number type.
+        """Simulate the period ``dt``, s, at joint commands; return the results as columns of one number type.
 
-        A compiled loop on a CPU is fast with such columns. They are stacked and converted to float32 and booleans
-        later.
+        First come the numbers of the state that change in an episode, then observation, reward, `numbers` and
+        `vectors` as in `Views`. A compiled loop on a CPU is fast with such columns. `_outcome` stacks and converts
+        them. ``when`` has the number of steps in each episode so far.
         """
         x, plant = self.x, plant or self.plant
         state, scene = simulation.look(x, self.task, plant, self.state_of(columns), commands, keys, when, dt)
@@ -178,7 +182,7 @@ class TorchBatch(Batch):
         return [*memory, *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
 
     def _outcome(self, out: Columns, fruit: Columns) -> Views:
-        """Make views from the columns of `_shown` after the memory, and from the fruit's position."""
+        """Make `Views` from the columns of `_shown`, without those of the state, and from the fruit's position."""
         parts = []
         for width in self.widths():
             parts.append(self._pack(out[:width], torch.float32))

@@ -24,14 +24,14 @@ from pickenv.envs.shared.task import Task, check_choice, make_task
 from pickenv.pictures.stage import Stage
 
 STATE = {"seeds": "_seeds", "episodes": "_episodes", "elapsed": "_elapsed", "ended": "_over"}
-"""Names of the attributes that a checkpoint stores, by their names in the checkpoint."""
+"""Attributes of the environment that a checkpoint stores, by the names that they have in the checkpoint."""
 
 
 class ReachVectorEnv(NativeVectorEnv):
     """N `pickenv/Reach-v0` in one vector environment.
 
-    Environment i returns the same numbers as a single `pickenv/Reach-v0` with the seed ``seed + i``, whatever N is.
-    With ``executor="numpy"`` in both, the numbers are equal to the bit. Between executors, in float64, they agree
+    Environment i (from 0) returns the same numbers as a single `pickenv/Reach-v0` with the seed ``seed + i``, whatever
+    N is. With ``executor="numpy"`` in both, the numbers are equal to the bit. Between executors, in float64, they agree
     within 1e-9.
 
     | `autoreset_mode`       | step after the end of an episode          | last observation of the episode             |
@@ -141,7 +141,10 @@ class ReachVectorEnv(NativeVectorEnv):
         self._views = views if len(rows) == self.num_envs else self.batch.merged(self._views, rows, views)
 
     def _asked(self, options: dict[str, Any], rows: Rows) -> dict[str, Any]:
-        """Return starts, goals and arms of the environments ``rows`` from ``options``, for `Batch.restart`."""
+        """Return the starts, goals and arms that ``options`` ask for, as keyword arguments of `Batch.restart`.
+
+        They are for the environments with the indices ``rows``.
+        """
         joints, frames = given_goals(self.task, options, self.num_envs)
         goals = {"goal": joints, "frames": frames}
         how: dict[str, Any] = {name: goal[rows] for name, goal in goals.items() if goal is not None}
@@ -193,7 +196,7 @@ Settings = Mapping[str, Any]
 
 @register("backend", "compiled")
 def _compiled(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
-    """Make a batch whose step is machine code on NumPy arrays.
+    """Make a `Batch` whose step is machine code, from the arguments of `Batch`; ``settings`` are not used.
 
     Raises:
         MissingExtra: If llvmlite is not installed.
@@ -206,13 +209,13 @@ def _compiled(task: Task, count: int, goal_dict: bool, poses: bool, settings: Se
 
 @register("backend", "numpy")
 def _numpy(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
-    """Make a batch whose step runs on NumPy arrays."""
+    """Make a `Batch` whose step runs on NumPy arrays, from the arguments of `Batch`; ``settings`` are not used."""
     return NumpyBatch(task, count, goal_dict, poses)
 
 
 @register("backend", "torch")
 def _torch(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
-    """Make a batch whose step runs on torch tensors.
+    """Make a `Batch` whose step runs on torch tensors, from the arguments of `Batch` and the executor's settings.
 
     Raises:
         MissingExtra: If torch is not installed.

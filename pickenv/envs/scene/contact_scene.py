@@ -41,7 +41,8 @@ TIMESTEP, CHUNK = 0.004, 5
 """Length of a physics step, and number of steps after which stems and the cup's hold are checked for breaking."""
 
 STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
-"""Stiffness and damping of the drives of arms that are made from an arm file, and the inertia that their gears add.
+"""Stiffness and damping of the drives of arms that are made from an arm file, and the inertia that their gears add, all
+in SI units for joints that turn or slide.
 These drives settle within one or two control periods. Without the inertia, damping would dominate at the wrist and
 contacts would be unstable."""
 
@@ -56,7 +57,7 @@ SMALLEST, LARGEST = 16, 1024
 """Bounds of the width and height of pictures."""
 
 GRIP, WIDE = (1.5, 0.02, 1e-3), 60.0
-"""Friction of grippers and fruit (sliding, torsional, rolling), and the wrist camera's angle of view."""
+"""Friction of grippers and fruit (sliding, torsional, rolling), and the wrist camera's vertical angle of view, deg."""
 
 METAL, WOOD = (0.6, 0.6, 0.65, 1.0), (0.36, 0.25, 0.16, 1.0)
 SKIN, LEAF = (0.78, 0.12, 0.10, 1.0), (0.25, 0.50, 0.18, 1.0)
@@ -101,7 +102,7 @@ class Surroundings:
 
     @property
     def clearance(self) -> float:
-        """Largest distance of a fruit's centre from the cup's axis at which the cup takes it, m, as in `li_cup`."""
+        """Largest distance of a fruit's centre from the cup's axis at which the cup takes the fruit, m."""
         return self.scale * self.cup.tolerance
 
     @property
@@ -172,7 +173,7 @@ class ContactScene:
         return import_module("mujoco")
 
     def _robot(self, arm: Arm) -> Any:
-        """Return the MuJoCo specification of the arm, without weight, and of the world camera."""
+        """Return the MuJoCo specification (`mujoco.MjSpec`) of the arm without weight, and of the world camera."""
         mujoco, around = self._mujoco, self.around
         if around.model is None:
             spec = mujoco.MjSpec.from_string(mjcf_text(arm.nominal, arm.name))
@@ -220,7 +221,10 @@ class ContactScene:
         return spec
 
     def _equip(self, spec: Any, last: Any, tool: Frame) -> None:
-        """Add the tool's site, the wrist camera and the gripper at the frame ``tool`` in the link ``last``."""
+        """Add the tool's site, the wrist camera and the gripper to the body ``last``, the arm's last link.
+
+        ``tool`` is the tool's frame in the frame of this body.
+        """
         mujoco, around = self._mujoco, self.around
         rotation, place, face = np.array(tool[:9]).reshape(3, 3).T, np.array(tool[9:]), -around.radius
         stand = around.radius + 0.08 * around.scale
@@ -255,20 +259,23 @@ class ContactScene:
         self._rod(hand, [0.0, 0.0, face - deep], [0.0, 0.0, -stand], 0.3 * radius)
 
     def _rods_end(self, body: Any, end: Array) -> None:
-        """Replace the rods of a body by one rod from its origin to ``end (3,)``, m."""
+        """Replace the rods of a body by one rod from the body's origin to ``end (3,)``, m, in the body's frame."""
         for geom in body.geoms:
             geom.group = UNSEEN
         self._rod(body, np.zeros(3), end, 0.02)
 
     def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
-        """Add a rod (radius, m) without contacts and almost without mass between two points ``(3,)``, m, of a body."""
+        """Add a rod to a body, from ``start (3,)`` to ``end (3,)``, m, in the body's frame; ``radius`` is in m.
+
+        The rod has no contacts and almost no mass. A rod that is not longer than its radius is left out.
+        """
         if np.linalg.norm(np.subtract(end, start)) > radius:
             look = {"contype": OTHER, "conaffinity": OTHER, "mass": 1e-3, "rgba": METAL}
             ends = [*np.asarray(start).tolist(), *np.asarray(end).tolist()]
             body.add_geom(type=self._mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[radius, 0.0, 0.0], **look)
 
     def _hang(self, spec: Any, number: int) -> None:
-        """Add a branch with a fruit, and leaves around the first fruit."""
+        """Add the branch and the fruit with the index ``number`` (from 0); fruit 0 gets the leaves too."""
         mujoco, around = self._mujoco, self.around
         scale, radius, stem = around.scale, around.radius, around.scale * around.detachment.stem
         bearer = spec.worldbody.add_body(name=f"bearer {number}", pos=[0.0, 0.0, 2.0])
@@ -357,7 +364,7 @@ class ContactScene:
             plant: The true arm.
             joints: Positions of the true arm's joints ``(n,)``, rad or m.
             tool: The tool's true frame.
-            fruit: Where fruit hangs at rest ``(f, 3)``, m.
+            fruit: Where fruit hangs at rest ``(f, 3)``, m, base frame.
             rng: Random generator for strengths of stems, places of leaves and errors of cameras.
         """
         mujoco, model, data, around = self._mujoco, self.model, self.data, self.around
@@ -391,8 +398,8 @@ class ContactScene:
         """Simulate one period, in which the drives move on to new joint positions.
 
         Args:
-            joints: Positions of the true arm's joints at the end ``(n,)``, rad or m.
-            tool: The tool's true frame at the end.
+            joints: Positions of the true arm's joints at the end of the period ``(n,)``, rad or m.
+            tool: The tool's true frame at the end of the period.
             grip: The gripper's command, -1 to 1; suction is on above 0.
             period: Length of the period, s.
         """

@@ -34,7 +34,7 @@ WITHOUT_USE = ("reward", "tolerance_mm", "angle_tolerance_deg", "end_on_success"
 
 USUAL_PLANT = "ideal:ur5e"
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
-"""Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
+"""Default of `control_period_s`, s, the cost of each step, and the reward for detaching a fruit from its stem."""
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
 """Number of steps for which a detached fruit must be held to count as picked, and smallest reach of arms for which
@@ -80,8 +80,9 @@ class PickSceneEnv(ReachEnv):
       The gripper is 0 when suction is off, 0.5 when it is on, and 1 when it holds the fruit.
     - "pixels_environment_state_agent_pos": `pixels`, `agent_pos`, and the numbers of "state" as `environment_state`.
 
-    The camera "world" stands before the tree. The camera "wrist" is fixed to the tool, behind it. Pictures need EGL or
-    OSMesa where there is no screen.
+    The camera "world" does not move in an episode and shows all places of fruit. The camera "wrist" is fixed to the
+    tool and looks at the tool's tip, at full scale from 0.2 m back along the tool's axis. Pictures need EGL or OSMesa
+    where there is no screen.
 
     ## Rewards
 
@@ -92,10 +93,10 @@ class PickSceneEnv(ReachEnv):
 
     As in `pickenv/Reach-v0`: joints are at mid-range or drawn, and the fruit is where the nominal arm's tool can be.
     `reset` takes the same options. With `within_mm` the fruit hangs near a place where the arm moves well in every
-    direction. The tool then starts where the wrist camera sees the fruit. At full scale it is 6 to 30 cm before the
-    fruit, and up to 12.5 cm beside it along each axis. If you give another goal, give `start_joints` too. Arms of fewer
-    than six joints start there in any attitude that they reach. The strength of the stem is drawn as in
-    `pickenv/Pick-v0` (Bu et al. 2020). The branch is that of `pickenv/orchard/presets/branch.toml`.
+    direction. The tool then starts where the wrist camera sees the fruit. At full scale it is 6 to 30 cm short of the
+    fruit along its axis, and up to 12.5 cm beside the fruit along each other axis. If you give another goal, give
+    `start_joints` too. Arms of fewer than six joints start there in any attitude that they reach. The strength of the
+    stem is drawn as in `pickenv/Pick-v0` (Bu et al. 2020). The branch is that of `pickenv/orchard/presets/branch.toml`.
 
     ## Episode End
 
@@ -134,8 +135,8 @@ class PickSceneEnv(ReachEnv):
       scaled by one factor to reach it, and the plant's effects are off. None leaves the plant as it is.
     - `obs_type`, `pixels` (width and height of pictures, px, 16 to 1024, default 64) and `cameras` (default both): what
       is observed.
-    - `within_mm` (default None): largest distance of the fruit per axis from the place above; None for the arm's whole
-      reach.
+    - `within_mm` (default None): largest distance of the fruit per axis from the place where the arm moves well (see
+      "Starting State"); None for the arm's whole reach.
     - `camera_mm`, `camera_deg` (default 0): standard deviations per axis of the errors of the cameras' positions and
       attitudes, drawn in every episode.
     - `model` (path, default None): a manufacturer's MJCF file of the plant's arm, with the same joint names.
@@ -154,9 +155,9 @@ class PickSceneEnv(ReachEnv):
     """
 
     before, beside, turned = (0.06, 0.3), (0.02, 0.35), 0.1
-    """Starts with `within_mm`, at full scale. `before` is the range of the tool's distance before the fruit, m. The
-    largest distance beside it is `beside[0]`, m, plus `beside[1]` times the distance before it. `turned` is the
-    standard deviation per axis of the attitude, rad."""
+    """Starts with `within_mm`, at full scale. `before` is the range of the tool's distance to the fruit along its axis,
+    m. The largest distance across the axis is `beside[0]`, m, plus `beside[1]` times the distance along it. `turned` is
+    the standard deviation per axis of the attitude, rad."""
 
     def __init__(
         self,
@@ -231,7 +232,7 @@ class PickSceneEnv(ReachEnv):
         self._holding, self._closed = 0, (0.0, 0.0)
 
     def _places(self) -> Array:
-        """Return possible places of fruit, followed by the place of the arm's base, ``(k + 1, 3)``, m."""
+        """Return k possible positions of fruit, then the position of the arm's base, ``(k + 1, 3)``, m, base frame."""
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
         joints: Array = np.array(list(islice((pose for pose, fits in tries if fits), SPREAD)))
         geometry = self.task.plant.arm.nominal
@@ -239,13 +240,16 @@ class PickSceneEnv(ReachEnv):
         return np.concatenate([forward(geometry, joints).position, [geometry.base.position]])
 
     def _placed(self, within: float) -> tuple[Array, Array]:
-        """Return the joints with the tool at this episode's fruit, and the joints at the start, ``(n,)`` each."""
+        """Return joints with the tool at this episode's fruit, and joints at the start, ``(n,)`` each, rad or m.
+
+        ``within`` is the largest distance of the fruit per axis from the place where the arm moves well, m.
+        """
         if self._pair is None or self._pair[0] != int(self._key):
             self._pair = int(self._key), self._before_fruit(within)
         return self._pair[1]
 
     def _before_fruit(self, within: float) -> tuple[Array, Array]:
-        """Draw the joints that `_placed` returns; ``within`` is the largest distance of the fruit per axis, m."""
+        """Draw the joints that `_placed` returns, and which it explains."""
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
         how: dict[str, Any] = {"restarts": 0, "position_only": geometry.joints < 6}
@@ -280,7 +284,7 @@ class PickSceneEnv(ReachEnv):
         self.plant = self._scaled(self.plant)
 
     def _scaled(self, plant: Plant) -> Plant:
-        """Return the true arm with its errors scaled to `error_mm`, if given."""
+        """Return the true arm ``plant`` with its errors scaled to `error_mm`, or unchanged if `error_mm` is None."""
         if self._error is None:
             return plant
         return erring_by(plant, 1e-3 * self._error, halton_joints(plant.arm.nominal, SPREAD))

@@ -22,7 +22,9 @@ Columns = list[Scalar]
 
 @contextmanager
 def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
-    """Turn an executor's error into one that names the effects of ``plant`` (the true arm) from other packages.
+    """Turn an error inside the context into one that names the effects of ``plant`` (the true arm) from other packages.
+
+    ``executor`` is the name of the executor that computes the plant, for the message.
 
     Raises:
         InputError: If anything is raised inside, and the plant has effects from other packages.
@@ -51,7 +53,7 @@ class ArmBatch:
         block: Number of environments whose episodes are begun in one computation.
         task: The task that all environments have in common.
         count: N.
-        arm: Index of each environment's true arm in the population.
+        arm: Index (from 0) of each environment's true arm in the population.
         plant: The true arms of the environments.
         population: The population that true arms are taken from.
         keys: Keys of the environments' episodes, ``(N,)``.
@@ -85,7 +87,7 @@ class ArmBatch:
         """Make the attributes in `remade`."""
 
     def make_room(self, goal: int, seen: int) -> None:
-        """Allocate the columns for the arms' states and for the plants' memories.
+        """Allocate the columns for the arms' states, and for what the true arms remember, such as their backlash.
 
         Args:
             goal: Count of numbers in a goal.
@@ -99,7 +101,7 @@ class ArmBatch:
 
     @property
     def fixed(self) -> int:
-        """Number of leading columns, which hold the joint target and the numbers that are constant in an episode."""
+        """Number of the first columns, which hold the joint target and the numbers that are constant in an episode."""
         return sum(self._widths[:4])
 
     def numbers(self, values: Array) -> Scalar:
@@ -178,10 +180,10 @@ class ArmBatch:
         return ArmState.of(columns, self._widths)
 
     def starts(self, keys: Scalar, joints: Array | None) -> Columns:
-        """Return the joint targets from which episodes start, component by component.
+        """Return the joint targets from which episodes start, as n components with one entry per episode.
 
         Args:
-            keys: Keys of the episodes.
+            keys: Keys of the episodes' random streams ``(episodes,)``.
             joints: Joint targets ``(episodes, n)``, rad or m; None to draw them if the task has a spread, else to
                 start at mid-range.
         """
@@ -191,9 +193,10 @@ class ArmBatch:
         return list(self.numbers((np.repeat([task.middle], len(keys), axis=0) if joints is None else joints).T))
 
     def commands(self, compensate: Compensators | None, targets: Columns, where: Any = slice(None)) -> Columns:
-        """Compute the joint commands of the environments ``where`` from their joint targets.
+        """Compute the joint commands of the environments ``where`` from their joint targets, both n components.
 
-        Compensators get and return NumPy arrays ``(..., n)``.
+        ``compensate`` is a function from joint targets to joint commands, NumPy arrays ``(..., n)``, or one function
+        per environment, or None for commands equal to targets.
         """
         if compensate is None:
             return targets
@@ -204,7 +207,8 @@ class ArmBatch:
     def write(self, columns: Columns, where: Any, values: Scalars) -> None:
         """Write ``values`` into columns, for the environments ``where``.
 
-        The last column is written first, so that entries of a queue are shifted before they are overwritten.
+        The last column is written first. Delayed actions and readings move on by one column, and are so read before
+        they are overwritten.
         """
         for column, new in zip(list(columns)[::-1], list(values)[::-1], strict=True):
             self.put(column, where, new)
@@ -214,7 +218,7 @@ class ArmBatch:
         return ((a, min(a + self.block, count)) for a in range(0, count, self.block))
 
     def take_arms(self, rows: Rows, arms: NDArray[np.intp]) -> None:
-        """Give the environments ``rows`` the true arms with the indices ``arms`` in the population."""
+        """Give the environments ``rows`` the true arms with the indices ``arms`` (from 0) in the population."""
         self.arm[rows] = arms
         places, numbers = self.indices(rows), self.indices(self.arm[rows])
         for mine, all_ in zip(arrays_of(self.plant), arrays_of(self.population), strict=True):
@@ -244,5 +248,5 @@ class NumpyArms(ArmBatch):
         NumpyArms.remake(self)
 
     def remake(self) -> None:
-        """Take the true arms of each block out of `plant`, whose arrays they share."""
+        """Make the true arms of each block of environments, as parts of `plant` that share its arrays."""
         self._plants = [self.plant_of(block) for block in self._blocks]

@@ -70,11 +70,11 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
             self._window = None
 
     def _picture(self) -> Pixels:
-        """Draw the present scene, as RGB pixels."""
+        """Draw the environment as it is now, as RGB pixels ``(height, width, 3)``."""
         return drawn(self._stage())
 
     def _stage(self) -> Stage | None:
-        """Return the scene to draw, or None before the first reset."""
+        """Return the contents of the picture to draw, or None before the first reset."""
         raise NotImplementedError
 
 
@@ -107,7 +107,7 @@ def drawn(stage: Stage | None) -> Pixels:
 Information = dict[str, Any]
 Options = dict[str, Any] | None
 EXECUTORS = {"auto": FLOATS, "floats": FLOATS, "compiled": FLOATS, "numpy": NUMPY}
-"""The arithmetic for each value of `executor`. Where steps are compiled, episodes still begin on floats."""
+"""Arithmetic for each value of the argument `executor`. Where steps are compiled, episodes still begin on floats."""
 
 
 class ArmEnv(DrawnEnv):
@@ -117,8 +117,8 @@ class ArmEnv(DrawnEnv):
         task: The task that the environment simulates.
         plant: The true arm.
         compensator: Function from joint targets to joint commands, or None.
-        look: Function that simulates a period and returns the view of the arm: `simulation.look`, or another one with
-            the same arguments.
+        look: Function that simulates a period and returns what is measured and true then: `simulation.look`, or
+            another function with the same arguments.
     """
 
     look: Callable[..., Any] = staticmethod(simulation.look)
@@ -155,7 +155,7 @@ class ArmEnv(DrawnEnv):
 
     @property
     def arm(self) -> int:
-        """Index of the true arm in its population; 0 for a fixed arm."""
+        """Index (from 0) of the true arm in its population; 0 for a fixed arm."""
         return self._arm or 0
 
     @property
@@ -164,7 +164,7 @@ class ArmEnv(DrawnEnv):
         return np.array(self.task.increment)
 
     def _use_arm(self, number: int) -> None:
-        """Use the arm with the index ``number`` in the population as the true arm."""
+        """Use the arm with the index ``number`` (from 0) in the population as the true arm."""
         self._arm = number
         if self._x is FLOATS:
             self.plant = plant_at(self.task.plant, number)
@@ -191,7 +191,10 @@ class ArmEnv(DrawnEnv):
         return self._numbers(command.tolist())
 
     def _looked(self, state: ArmState, moment: int, dt: Scalar) -> tuple[Any, Scalars]:
-        """Simulate ``dt`` seconds at the joint target of ``state``; return the view, and the joint command."""
+        """Simulate ``dt`` seconds at the joint target of ``state``; return what `look` measures, and the joint command.
+
+        ``moment`` is the number of steps in the episode so far, 0 at its start.
+        """
         command = self._command(state.target)
         if self._compiled is not None and dt != 0.0:
             self._state, view = self._compiled(state, command, self._key, moment, self.arm)

@@ -80,7 +80,7 @@ NUMPY = Executor(
     word=lambda number: np.uint64(number & MASK),
     spares_constants=True,
 )
-"""The executor of many environments on NumPy arrays, one array per component."""
+"""The executor of many environments on NumPy arrays: one array per component, with one entry per environment."""
 
 
 @lru_cache(maxsize=1)
@@ -137,24 +137,30 @@ def mixed(x: Executor, word: Scalar) -> Scalar:
 
 
 def episode_key(x: Executor, seed: Scalar, episode: Scalar) -> Scalar:
-    """Compute the key of an episode, a 64-bit word, from the words of its seed and its number (or arrays of them)."""
+    """Compute the key of an episode, a 64-bit word, from 64-bit words: its seed, and its index from 0.
+
+    Both may be arrays, with one entry per environment.
+    """
     first = mixed(x, x.plus(seed, x.word(GOLDEN)))
     return mixed(x, x.plus(first, x.times(episode, GOLDEN)))
 
 
 def stream_key(x: Executor, key: Scalar, stream: int) -> Scalar:
-    """Compute the key of the random stream ``stream`` of the episode with the key ``key``."""
+    """Compute the key of one random stream, such as `GOAL`, of the episode with the key ``key``."""
     return mixed(x, x.plus(key, x.word(stream * GOLDEN)))
 
 
 def uniform(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
-    """Return the uniform number in [0, 1) with index ``draw``, an int or 64-bit words, of the stream ``key``."""
+    """Return the uniform number in [0, 1) with the index ``draw`` of the random stream with the key ``key``.
+
+    ``draw`` counts from 0 and is an int or 64-bit words.
+    """
     step = x.word(draw * GOLDEN) if isinstance(draw, int) else x.times(draw, GOLDEN)
     return x.unit(mixed(x, x.plus(key, step)))
 
 
 def normal(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
-    """Return the standard normal number with index ``draw`` of the stream ``key`` (Box and Muller 1958).
+    """Return the standard normal number with index ``draw`` (from 0) of the stream ``key`` (Box and Muller 1958).
 
     It is computed from the stream's uniform numbers with the indices 2 ``draw`` and 2 ``draw`` + 1.
     """

@@ -35,7 +35,10 @@ def with_numbers(plants: Plant, numbers: Iterable[Scalar]) -> Plant:
 
 
 class LatestCompiled:
-    """Cache with one entry: the machine code, for ``count`` poses at once, of the compensator that was used last."""
+    """Cache of the machine code of the compensator that was used last.
+
+    The code corrects ``count`` joint targets at once.
+    """
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -54,7 +57,7 @@ class CompiledLook:
     Results equal those of the function up to rounding.
 
     Args:
-        look: The function.
+        look: The function to compile.
         task: The task.
     """
 
@@ -70,14 +73,14 @@ class CompiledLook:
         return CompiledLook, (self._look, self._task)
 
     def __call__(self, state: ArmState, command: Scalars, key: int, moment: int, arm: int) -> tuple[ArmState, Any]:
-        """Hold a joint command for one period; return the state and the view afterwards.
+        """Hold a joint command for one period; return the state afterwards, and what the function measures then.
 
         Args:
             state: The state, with its new joint target.
             command: Joint command, rad or m.
-            key: Key of the episode.
-            moment: Index of the step in its episode.
-            arm: Index of the true arm in the population.
+            key: Key of the episode's random streams.
+            moment: Number of steps in the episode so far, this one included.
+            arm: Index (from 0) of the true arm in the population.
         """
         if self._run is None:
             with naming_effects(self._plants, "compiled"):
@@ -93,7 +96,7 @@ class CompiledLook:
         return ArmState(*state[:-2], sensed, tuple(parts[:memory])), self._view_of(parts[memory:])
 
     def _compiled(self, state: ArmState, command: Scalars) -> Callable[[], None]:
-        """Trace and compile the function for states and commands as long as ``state`` and ``command``."""
+        """Compile the function for states and commands as long as ``state`` and ``command``, and return the code."""
         trace, widths = Trace(), [len(part) for part in (*state[:-1], *state.plant)]
         given = trace.inputs("given", sum(widths) + len(command))
         before, now = ArmState.of(given[: sum(widths)], widths), given[sum(widths) :]

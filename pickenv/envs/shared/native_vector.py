@@ -26,7 +26,9 @@ Seeds = int | Sequence[int | None] | None
 
 
 class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
-    """Base class for N environments in one; environment i has the seed ``seed + i`` and does not depend on N.
+    """Base class for N environments in one.
+
+    Environment i (from 0) has the seed ``seed + i``, and its numbers do not depend on N.
 
     Attributes:
         task: The task that all environments simulate.
@@ -80,8 +82,8 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         """Begin episodes in all environments, or in those where ``options["reset_mask"]`` is True.
 
         Args:
-            seed: Environment i gets ``seed + i``, or entry i of a sequence. With None, the environment continues its
-                own stream of random numbers.
+            seed: Environment i (from 0) gets ``seed + i``, or entry i of a sequence. With None, an environment
+                continues its own stream of random numbers.
             options: Options by name: those named in the attribute `options`, and "reset_mask".
 
         Returns:
@@ -142,7 +144,10 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         self._elapsed[rows], self._over[rows] = 0, False
 
     def _masked(self, mask: Flags) -> Information:
-        """Return infos as a dict of arrays, each with ``mask`` as its ``_key``; values outside the mask are zero."""
+        """Return the infos as a dict of arrays by key, with values 0 where ``mask (N,)`` is False.
+
+        For each key there is also an entry "_key", which holds the mask.
+        """
         infos, flags = self._information(), self._flags(mask)
         if not mask.all():
             infos = {key: values * flags.reshape(-1, *[1] * (values.ndim - 1)) for key, values in infos.items()}
@@ -153,7 +158,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         return flags.copy()
 
     def _seed(self, row: int, seed: int | None) -> None:
-        """Start a new stream of random numbers for environment ``row``, from ``seed``, or from a fresh seed if None."""
+        """Start a new stream of random numbers for environment ``row`` (from 0); None stands for a fresh seed."""
         self._rngs[row] = seeding.np_random(seed)[0]
 
     @abstractmethod
@@ -166,7 +171,9 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
 
     @abstractmethod
     def _act(self, actions: Any, live: Flags) -> Any:
-        """Simulate one period in the environments marked by ``live (N,)``; the others begin new episodes afterwards.
+        """Simulate one period in the environments marked by ``live (N,)``.
+
+        The environments that are not marked begin new episodes afterwards.
 
         Returns:
             The rewards of all environments, zero in those that are not live.
@@ -186,7 +193,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
 
     @abstractmethod
     def _stage(self, row: int) -> Stage:
-        """Return the stage to draw for environment ``row``."""
+        """Return the contents of the picture of environment ``row`` (from 0)."""
 
 
 def set_spaces(envs: VectorEnv[Any, Any, Any], observations: Space[Any], actions: Space[Any]) -> None:
@@ -215,8 +222,8 @@ def checked_seeds(seed: Seeds, count: int) -> list[int | None]:
     """Return a seed for each of ``count`` environments.
 
     Args:
-        seed: A number, from which environment i gets ``seed + i``; or a sequence of one seed or None per environment;
-            or None.
+        seed: A number, from which environment i (from 0) gets ``seed + i``; or a sequence of one seed or None per
+            environment; or None.
         count: Number of environments.
 
     Returns:
@@ -239,9 +246,12 @@ def checked_seeds(seed: Seeds, count: int) -> list[int | None]:
 
 
 def final_rows(observations: Any, rows: Rows, count: int) -> Any:
-    """Return the observations of ``rows`` in an object array of length ``count``, as `SyncVectorEnv` does.
+    """Return an object array of length ``count`` with the observations of some environments, as `SyncVectorEnv` does.
 
-    The other entries are None. Tensors are returned as they are.
+    Args:
+        observations: Observations of all ``count`` environments. If they are tensors, they are returned unchanged.
+        rows: Indices of the environments; the entries of all other environments are None.
+        count: Number of environments.
     """
     parts = list(observations.values()) if isinstance(observations, dict) else [observations]
     if not all(isinstance(part, np.ndarray) for part in parts):

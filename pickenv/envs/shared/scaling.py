@@ -55,7 +55,7 @@ class Rescaling(ABC):
                 `inputs`.
 
         Raises:
-            InputError: If ``width`` differs from this count.
+            InputError: If ``width`` differs from `inputs`, or from `features` if ``scaled``.
         """
         trained, home = (self.features, "the environment") if scaled else (self.inputs, self.home)
         if width != trained:
@@ -91,7 +91,10 @@ class Rescaling(ABC):
 
     @abstractmethod
     def potential(self, values: NDArray[Any]) -> Any:
-        """Compute a potential ``(...)`` for reward shaping from observations; it grows towards the task's goal."""
+        """Compute a potential ``(...)`` for reward shaping, which grows towards the task's goal.
+
+        ``values`` are the environment's observations ``(..., inputs)``.
+        """
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,11 @@ class Scaling(Rescaling):
         return self.tool or self.joints
 
     def gap(self, values: Any, xp: Any) -> tuple[Any, Any]:
-        """Return the position gap (m) and the attitude gap (rotation vector, rad), ``(..., 3)`` each."""
+        """Return the position gap (m) and the attitude gap (rotation vector, rad), ``(..., 3)`` each.
+
+        ``values`` are the environment's observations ``(..., inputs)``, and ``xp`` is the module numpy or torch. The
+        methods below take the same arguments.
+        """
         n = self.joints
         if self.goal:
             numbers = [values[..., i] for i in range(n + 3, self.inputs)]
@@ -150,18 +157,24 @@ class Scaling(Rescaling):
         return values[..., n + 12 :] if self.camera else values[..., n + 6 : n + 9], values[..., n + 9 : n + 12]
 
     def size(self, values: Any, xp: Any) -> Any:
-        """Compute the gap's size ``(..., 1)``: the larger of position over `near` and attitude over `near_turn`."""
+        """Compute the size ``(..., 1)`` of the gap in observations ``values``: the larger of two ratios.
+
+        These are the position gap over `near` and the attitude gap over `near_turn`; see `gap` for the arguments.
+        """
         gap, turn = self.gap(values, xp)
         far, turned = vector_length(gap) / self.near, vector_length(turn) / self.near_turn
         return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
-        """Compute the factor ``(..., 1)``, at most 1, by which a network's actions are multiplied."""
+        """Compute the factor ``(..., 1)``, at most 1, by which a network's actions at observations are multiplied.
+
+        See `gap` for the arguments.
+        """
         size = self.size(values, xp)
         return xp.clip(size, None, 1.0) if self.actions else 0.0 * size + 1.0
 
     def observe(self, values: Any, xp: Any) -> Any:
-        """Compute the observations ``(..., features)`` that the networks see; see `Rescaling.observe`."""
+        """Compute the observations ``(..., features)`` that networks see, with the arguments of `Rescaling.observe`."""
         gap, turn = self.gap(values, xp)
         size = self.size(values, xp)
         parts = (values[..., : self.joints], gap / (self.near * size), turn / (self.near_turn * size))
@@ -174,7 +187,7 @@ class Scaling(Rescaling):
         return actions * self.share(values, np)
 
     def potential(self, values: NDArray[Any]) -> Any:
-        """Compute the negative decimal logarithm ``(...)`` of the gap's size, for reward shaping."""
+        """Compute the negative decimal logarithm ``(...)`` of the gap's size from observations, for reward shaping."""
         return -np.log10(self.size(values, np))[..., 0]
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
@@ -191,7 +204,9 @@ class Scaling(Rescaling):
 
 
 def scaling_of(task: Task, actions: bool = True) -> Scaling:
-    """Return the scaling for a task's flat observations; ``actions`` says whether actions shrink with the gap.
+    """Return the scaling for a task's flat observations (arrays, not goal dictionaries).
+
+    ``actions`` says whether actions shrink with the gap.
 
     Where actions move the tool, a gap counts as near if one action can close it.
     """

@@ -37,16 +37,18 @@ Components = tuple[Scalar, ...]
 
 
 class ArmState(NamedTuple):
-    """The memory of an environment of one arm between two actions.
+    """All that an environment of one arm remembers between two actions.
+
+    The number after a description, such as 12, is the count of its numbers; n is the number of joints.
 
     Attributes:
         target: Nominal joint target, the sum of the actions so far, n.
-        goal: Frame of the fruit with the wanted attitude, 12; empty in Pick, which keeps its fruit in a `PickScene`.
-        seen: Fruit position as the camera saw it, 3; empty in Pick.
+        goal: Frame of the fruit with the wanted attitude, 12; empty in `pickenv/Pick-v0`, which stores fruit elsewhere.
+        seen: Fruit position as the camera saw it, 3; empty in `pickenv/Pick-v0`.
         drawn: Numbers drawn for the episode, in the order of `Situation.drawn`.
         sent: Delayed actions that have not taken effect yet, the latest first.
         sensed: Delayed readings that have not arrived yet, the latest first.
-        plant: Memory of the true arm.
+        plant: What the true arm remembers, such as its backlash and temperature.
     """
 
     target: Components
@@ -59,7 +61,10 @@ class ArmState(NamedTuple):
 
     @classmethod
     def of(cls, columns: Scalars, widths: Sequence[int]) -> ArmState:
-        """Return the state whose numbers are ``columns``; ``widths`` has the count of numbers in each of its parts."""
+        """Return the state whose numbers are ``columns``; ``widths`` has the count of numbers in each attribute.
+
+        Counts after the sixth are those of the parts of `plant`.
+        """
         parts = [tuple(columns[end - width : end]) for end, width in zip(accumulate(widths), widths, strict=True)]
         target, goal, sighting, drawn, sent, late, *memory = parts
         return cls(target, goal, sighting, drawn, sent, late, tuple(memory))
@@ -73,7 +78,8 @@ class ArmState(NamedTuple):
 class View(NamedTuple):
     """All measured and true quantities at one moment, from which observation and information are made.
 
-    "Believed" means computed from the joint readings with the nominal arm. Vectors are in the base frame, m.
+    "Believed" means computed from the joint readings with the nominal arm. Vectors are in the base frame, m. The number
+    at the end of a description is the count of its numbers; n is the number of joints.
 
     Attributes:
         readings: Joint readings scaled to the joint limits, n.
@@ -89,8 +95,8 @@ class View(NamedTuple):
         tool: The tool's true position, 3.
         fruit: True fruit position, 3.
         error: The tool's true pose relative to the fruit: m and rotation vector, 6.
-        numbers: Four sizes of the error in the order of `NUMBER_KEYS`: a distance, mm, then three angles, deg. These
-            are the whole angle, the part of it that no joint motion removes, and the rest.
+        numbers: Four sizes of the error in the order of `NUMBER_KEYS`: a distance, mm, then three angles, deg. The
+            angles are the whole one, the part of it that no joint motion removes, and the part that joints can remove.
         success: Whether the fruit is inside the capture region.
     """
 
@@ -115,7 +121,10 @@ class View(NamedTuple):
 
 
 def nominal_frames(x: Executor, task: Task, q: Scalars) -> tuple[list[Frame], Frame]:
-    """Compute the frames of the nominal arm's links (base first), and the frame of its tool, at joints ``q``."""
+    """Compute the frames of the nominal arm's links (base first), and the frame of its tool.
+
+    They are in the base frame, at the joints ``q``: n components, rad or m.
+    """
     chain = task.exact if x.spares_constants else task.nominal
     links = frames(x.m, chain, q)
     return links, inexact(attach(links[-1], chain.tool))
@@ -129,7 +138,7 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
     Args:
         x: The executor.
         task: The task.
-        key: Key of the episode's goal stream.
+        key: Key of the random stream `GOAL` of the episode.
         attempt: Index of the attempt, from 0; the first pose that fits becomes the goal.
 
     Returns:
@@ -148,7 +157,7 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
 
 
 def drawn_arm(x: Executor, task: Task, seed: Scalar, key: Scalar) -> Scalar:
-    """Draw the index of an episode's true arm in the population, with a fraction that the caller cuts off.
+    """Draw the index (from 0) of an episode's true arm in the population, with a fraction that the caller cuts off.
 
     Args:
         x: The executor.
@@ -171,7 +180,7 @@ def begin(
         task: The task.
         plant: The true arm, or arms.
         key: Key of the episode.
-        start: Joint target to start from.
+        start: Joint target to start from, n components, rad or m.
         goal: Frame of the fruit with the wanted attitude, or empty.
         command: Joint command that the drives get for ``start``.
         hours: Time for which the arm has been switched on, h; None for the time in the task's situation.
@@ -191,7 +200,7 @@ def begin(
 
 
 def move(x: Executor, task: Task, target: Scalars, action: Scalars) -> Components:
-    """Return the nominal joint target after an action.
+    """Return the nominal joint target after an action, given the joint ``target`` before it; n components, rad or m.
 
     The action's numbers are clipped to -1 to 1 and multiplied by the largest increments. The target is kept within the
     joint limits.
@@ -220,7 +229,7 @@ def joint_shares(x: Executor, task: Task, target: Scalars, action: Scalars) -> l
     Args:
         x: The executor.
         task: The task, whose actions move the tool.
-        target: The nominal joint target, from which the tool moves.
+        target: The nominal joint target, at which the believed tool is before the action.
         action: Shares of the tool's largest increments, base frame.
     """
     m, (links, tool) = x.m, nominal_frames(x, task, target)
@@ -247,13 +256,14 @@ def look(
         task: The task.
         plant: The true arm, or arms.
         state: The state, with its new joint target.
-        command: Joint command that the drives get for this target.
+        command: Joint command that the drives get for this target, n components, rad or m.
         key: Key of the episode.
-        moment: Index of the step in its episode, a 64-bit word; used only for the noise of camera and joints.
+        moment: Number of steps in the episode so far, 0 at its start, a 64-bit word; used only for the noise of camera
+            and joints.
         dt: Time, s: one number, or one per environment. At the start of an episode it is the plain number 0.0.
 
     Returns:
-        The state afterwards, and the view of the arm.
+        The state afterwards, and all that is measured and true then.
     """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = nominal_readings(x, plant, plant_state, state.target, command)
@@ -271,7 +281,11 @@ def viewed(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[ArmState, View]:
-    """Return state and view for encoder readings ``read (n,)`` and the tool's true frame ``true``; see `look`."""
+    """Return what `look` returns, for encoder readings and a true tool that are known already.
+
+    The readings ``read`` are n nominal joints without noise, rad or m, and ``true`` is the tool's true frame. `look`
+    explains all other arguments.
+    """
     m, goal, sighting, setting = x.m, state.goal, state.seen, task.situation
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
     camera: Components = ()
@@ -320,7 +334,7 @@ def sensed(
         task: The task.
         state: The state, with the readings that were pending before.
         key: Key of the episode.
-        moment: Index of the step in its episode, a 64-bit word.
+        moment: Number of steps in the episode so far, a 64-bit word.
         read: Joint readings without noise, rad or m.
         camera: What the camera measures, m; empty without a camera.
         dt: Time that has passed, s.
@@ -335,13 +349,16 @@ def sensed(
 
 
 def noisy(x: Executor, stream: Scalar, moment: Scalar, values: Scalars, std: Scalar) -> list[Scalar]:
-    """Return ``values`` plus normal noise of step ``moment`` (64-bit word), from the stream with the key ``stream``."""
+    """Return ``values`` plus normal noise of the standard deviation ``std``, which is in the unit of the values.
+
+    The noise is from the random stream with the key ``stream``, at the step ``moment`` of the episode (64-bit word).
+    """
     first = x.times(moment, len(values))
     return [value + std * normal(x, stream, x.plus(first, x.word(i))) for i, value in enumerate(values)]
 
 
 def nominal_readings(x: Executor, plant: Plant, state: PlantState, target: Scalars, command: Scalars) -> list[Scalar]:
-    """Return the joint readings as nominal joints: joint target + reading - joint command.
+    """Return the joint readings as nominal joints (n components, rad or m): joint target + reading - joint command.
 
     So the difference between target and command, which a compensator makes, does not appear in observations.
     """
@@ -362,14 +379,20 @@ def length(x: Executor, vector: Scalars) -> Scalar:
 
 
 def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
-    """Return whether a fruit at this distance and angle from the tool is inside the capture region."""
+    """Return whether distance and angle between tool and fruit are within the task's tolerances.
+
+    For a task without attitude only the distance counts.
+    """
     if not task.attitude:
         return distance_mm <= task.tolerance_mm
     return (distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg)
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Scalars) -> Scalar:
-    """Return the size of the part of a small rotation vector that no revolute axis of ``links`` can produce."""
+    """Return the size, rad, of the part of a small rotation vector ``turn`` (rad) that no revolute axis can produce.
+
+    ``links`` has the frames of the arm's links, base first.
+    """
     if task.lost_axes is None:
         return 0.0 * sum(turn)
     ax, ay, az = inexact(links[task.lost_axes[0] + 1][6:9])
@@ -380,7 +403,7 @@ def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Scalars) 
 
 
 def flat_observation(scene: View) -> Components:
-    """Return the numbers of the flat observation, in the order of `pickenv/Reach-v0`."""
+    """Return the numbers of the observation that `pickenv/Reach-v0` gives, in its order."""
     return (*scene.readings, *scene.believed, *scene.seen, *scene.offset, *scene.camera)
 
 
@@ -420,7 +443,7 @@ def goal_reward(x: Executor, task: Task, achieved: Scalars, desired: Scalars) ->
 
 
 def gap_reward(x: Executor, task: Task, gap: Scalars, turn: Scalars) -> Scalar:
-    """Compute the reward from the gap (m) and the rotation vector (rad) between tool and fruit, 3 numbers each."""
+    """Compute the reward from ``gap`` (m) and rotation vector ``turn`` (rad) between tool and fruit, 3 numbers each."""
     distance_mm, angle_deg = 1e3 * length(x, gap), DEGREES * length(x, turn)
     return _reward(x, task, in_capture_region(task, distance_mm, angle_deg), distance_mm, angle_deg)
 

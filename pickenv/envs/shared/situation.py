@@ -55,8 +55,8 @@ class Situation:
 
     Attributes:
         period: Time between two actions, s.
-        latency: Periods by which readings of joints and camera are late.
-        delay: Periods by which actions are late.
+        latency: Number of periods by which readings of joints and camera are late.
+        delay: Number of periods by which actions are late.
         joint_noise: Standard deviation of a joint's reading, rad or m.
         hours: Time for which the arm has been switched on when an episode begins, h.
         spread: Share of each joint's range, about mid-range, from which starts are drawn.
@@ -89,13 +89,16 @@ class Situation:
         """Return three counts of numbers that a state stores: values drawn, delayed actions, delayed readings.
 
         Args:
-            joints: Count of the numbers in an action.
+            joints: Count of the numbers in an action, the gripper's included.
             sensed: Count of the numbers in a reading of joints and camera.
         """
         return len(self.drawn), int(self.delay.high) * joints, int(self.latency.high) * sensed
 
     def value(self, name: str, drawn: Components) -> Scalar:
-        """Return the attribute ``name`` for an episode: its number among those ``drawn``, or else the constant."""
+        """Return the number that the attribute ``name`` has in an episode; if it does not vary, this is its constant.
+
+        ``drawn`` has the numbers that were drawn for the episode, in the order of the attribute `drawn`.
+        """
         return drawn[self.drawn.index(name)] if name in self.drawn else getattr(self, name).low
 
 
@@ -127,7 +130,11 @@ def make_situation(
 
 
 def _span(name: str, given: Any, least: float, most: float) -> Span:
-    """Check a number or a range, and return its span; if ``least`` is an int, the ends must be whole numbers."""
+    """Check ``given``, a number or a range [least, largest], and return it as a `Span`.
+
+    It must lie between ``least`` and ``most``. If ``least`` is an int, the ends must be whole numbers. ``name`` is for
+    the message.
+    """
     ends = tuple(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given, given)
     kind: Any = (int, np.integer) if isinstance(least, int) else Real
     numbers = all(isinstance(end, kind) and not isinstance(end, bool) for end in ends)
@@ -138,7 +145,7 @@ def _span(name: str, given: Any, least: float, most: float) -> Span:
 
 
 def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
-    """Draw the numbers of the episode with the key ``key``, in the order of `Situation.drawn`.
+    """Draw the numbers of the situation that vary, for the episode with the key ``key``, as `Situation.drawn` has them.
 
     Numbers that stand for whole numbers still have a fraction, which later comparisons cut off.
     """
@@ -153,14 +160,20 @@ def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
 def drawn_start(
     x: Executor, setting: Situation, key: Scalar, lower: Sequence[float], upper: Sequence[float]
 ) -> list[Scalar]:
-    """Draw the joints from which the episode with the key ``key`` starts, from joints ``lower`` to ``upper``."""
+    """Draw the joints (rad or m) from which the episode with the key ``key`` starts.
+
+    They are in the middle share `Situation.spread` of the range from ``lower`` to ``upper`` of each joint.
+    """
     stream, half = stream_key(x, key, START), 0.5 * setting.spread
     limits = enumerate(zip(lower, upper, strict=True))
     return [low + (high - low) * ((0.5 - half) + setting.spread * uniform(x, stream, i)) for i, (low, high) in limits]
 
 
 def in_period(x: Executor, setting: Situation, drawn: Components, action: Scalars) -> Scalars:
-    """Scale an action by the ratio of the episode's period to the longest one: a short period moves the arm less."""
+    """Multiply an action by the ratio of the episode's period to the longest one: a short period moves the arm less.
+
+    ``drawn`` has the numbers that were drawn for the episode.
+    """
     if not setting.period.varies:
         return action
     share = setting.value("period", drawn) / setting.period.high
@@ -170,14 +183,16 @@ def in_period(x: Executor, setting: Situation, drawn: Components, action: Scalar
 def late(
     x: Executor, setting: Situation, name: str, drawn: Components, past: Components, fresh: Scalars
 ) -> tuple[Scalars, Components]:
-    """Return the action that takes effect now, or the reading that arrives now, and the values that are still pending.
+    """Delay an action or a reading: return the one that takes effect or arrives now, and those still pending.
+
+    Pending values are in one tuple, latest first.
 
     Args:
         x: The executor.
         setting: The situation.
         name: "delay" for actions, "latency" for readings.
-        drawn: Numbers drawn for the episode.
-        past: Values that were pending before, latest first.
+        drawn: Numbers drawn for the episode, in the order of `Situation.drawn`.
+        past: Actions or readings that were pending before, latest first.
         fresh: The policy's present action, or the present reading.
     """
     if not getattr(setting, name).high:

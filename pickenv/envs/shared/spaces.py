@@ -63,12 +63,12 @@ def goal_space(task: Task) -> spaces.Dict:
 
 
 def action_space(task: Task) -> spaces.Box:
-    """Return the space of actions, which are increments of the joints or of the tool, then the gripper's numbers."""
+    """Return the space of actions: increments of the joints or of the tool, then the gripper's command, if any."""
     return spaces.Box(-1.0, 1.0, (task.actions,), dtype=np.float32)
 
 
 def box(high: Sequence[float]) -> spaces.Box:
-    """Return the float32 box from -``high`` to ``high``, rounded outwards, so that turns by pi are inside."""
+    """Return the float32 box from -``high`` to ``high``, rounded outwards, so that the bounds themselves are inside."""
     bound = np.array(high, dtype=np.float32)
     bound = np.where(bound < np.array(high), np.nextafter(bound, np.float32(np.inf)), bound)
     return spaces.Box(-bound, bound, dtype=np.float32)
@@ -95,7 +95,7 @@ def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str,
 
 
 POOL, NEAREST = 2**14, 16
-"""Number of sampled poses, and number of those nearest to a position from which inverse kinematics starts."""
+"""`POOL` is the number of sampled poses. Inverse kinematics starts from the `NEAREST` poses nearest to a position."""
 
 
 Goals = tuple[Array | None, Array | None]
@@ -137,7 +137,10 @@ def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None
 
 
 def _reached(task: Task, position: Array) -> Array:
-    """Find joints ``(n,)`` that bring the nominal tool to a position ``(3,)`` within the largest tilt."""
+    """Find joints ``(n,)``, rad or m, that bring the nominal tool to a position ``(3,)``, m.
+
+    The tool's axis is at most the task's largest tilt away from the vertical.
+    """
     geometry = task.plant.arm.nominal
     joints, poses = spread_poses(geometry)
     upright = np.flatnonzero(poses.rotation[:, 2, 2] >= task.min_upright)
@@ -153,7 +156,10 @@ def _reached(task: Task, position: Array) -> Array:
 
 
 def _framed(task: Task, pose: Array) -> Array:
-    """Return the frame ``(12,)`` of a pose ``(6,)``, whose position (but not attitude) the nominal arm must reach."""
+    """Return the frame ``(12,)`` of a pose ``(6,)``: position, m, and rotation vector, rad.
+
+    The nominal arm must reach the position, but not the attitude.
+    """
     position, rotation = pose[:3], rotation_matrix(pose[3:])
     solution = inverse(task.plant.arm.nominal, Pose(position, rotation), position_tolerance=1e-6, position_only=True)
     if not solution.reached:

@@ -75,7 +75,7 @@ class Exact:
 
 
 def exact(value: Scalar) -> Any:
-    """Return ``value`` as an `Exact` if it is a float near 0, 1 or -1; return other floats and all arrays unchanged."""
+    """Return a float near 0, 1 or -1 as an `Exact`, which saves work on arrays; return any other value unchanged."""
     for number in (0.0, 1.0, -1.0) if isinstance(value, float) else ():
         if abs(value - number) < ROUNDING:
             return Exact(number)
@@ -83,7 +83,10 @@ def exact(value: Scalar) -> Any:
 
 
 def exact_plant(plant: Plant) -> Plant:
-    """Return ``plant`` (the true arm) with `Exact` zeros and ones in its base frame, payload and payload's centre."""
+    """Return ``plant`` (the true arm) with `Exact` numbers for the zeros and ones of its base frame and payload.
+
+    `Exact` numbers save operations on arrays, which need not be multiplied by 0 or 1.
+    """
     load = plant.load
     if load is not None and isinstance(load.payload, float):
         centre = tuple(tuple(exact(value) for value in point) for point in load.centre)
@@ -137,7 +140,7 @@ def commanded(compensate: Compensators, joints: Array, where: Any = slice(None))
         compensate: One compensator, or a sequence with one for each environment of the vector. Environments with the
             same compensator are corrected together.
         joints: The joint targets.
-        where: Index or slice that selects the N environments.
+        where: Indices (from 0) or slice that select the N environments in the vector.
     """
     if callable(compensate):
         return np.asarray(compensate(joints))
@@ -156,7 +159,7 @@ class Task:
     Attributes:
         plant: The true arm, or the population that true arms are taken from.
         arms: How true arms are taken from the population: one of `ARMS`.
-        nominal: The nominal arm's chain.
+        nominal: The nominal arm as a chain of links.
         lower: Lower joint limits, rad or m.
         upper: Upper joint limits, rad or m.
         increment: Largest increment of each joint in one action, rad or m.
@@ -229,7 +232,7 @@ class Task:
 
     @cached_property
     def exact(self) -> Chain:
-        """The nominal chain with `Exact` zeros and ones among its constants, which save array arithmetic."""
+        """The nominal arm's chain of links with `Exact` numbers for zeros and ones, which save operations on arrays."""
         chain = self.nominal
         links = [link._replace(**{name: exact(getattr(link, name)) for name in FACTORS}) for link in chain.links]
         tool = None if chain.tool is None else tuple(map(exact, chain.tool))
@@ -242,7 +245,7 @@ class Task:
 
     @cached_property
     def reach(self) -> float:
-        """Upper bound of the tool's distance from the origin, m: sum of all lengths, plus 1 m for errors and noise."""
+        """Upper bound of the tool's distance from the base frame's origin, m: sum of all lengths, plus 1 m for errors and noise."""
         g = self.plant.arm.nominal
         slides = np.array(g.prismatic) * np.maximum(np.abs(g.lower), np.abs(g.upper))
         lengths = np.abs(g.a).sum() + np.abs(g.d).sum() + slides.sum()
@@ -250,7 +253,7 @@ class Task:
 
     @property
     def population(self) -> int:
-        """Number of arms in the population that environments choose from; 1 without a population."""
+        """Number of arms in the population from which true arms are taken; 1 without a population."""
         return plant_count(self.plant) or 1
 
     def given_joints(self, name: str, joints: Sequence[float] | Array, count: int | None = None) -> Array:
@@ -277,7 +280,7 @@ class Task:
         return values if count is None else np.broadcast_to(values, (count, self.joints))
 
     def given_arm(self, number: int) -> int:
-        """Check the index of an arm of the population, and return it.
+        """Check the index (from 0) of an arm of the population, and return it.
 
         Raises:
             InputError: If the population has no arm with this index, or there is no population.
@@ -371,7 +374,7 @@ def make_task(
 
 
 def checked_region(given: Any) -> tuple[Components, Components]:
-    """Check the two corners of a goal region, and return them as floats.
+    """Check the two corners of a goal region, m, and return them as floats: least coordinates, then largest ones.
 
     Raises:
         InputError: If ``given`` is not two corners, or the first is not below the second in every coordinate.
@@ -443,13 +446,19 @@ def check_count(name: str, value: int, least: int = 1) -> None:
 
 
 def check_flag(name: str, value: bool) -> None:
-    """Raise an `InputError` unless ``value`` is a truth value."""
+    """Raise an `InputError`, which names the argument ``name``, unless ``value`` is True or False."""
     if not isinstance(value, bool | np.bool_):
         raise InputError(f"{name} is {shown(value)}; give True or False")
 
 
 def check_name(name: str, value: str | Path, wanted: str) -> None:
-    """Raise an `InputError` that asks for the name of ``wanted``, unless ``value`` is a string or a path."""
+    """Raise an `InputError` unless ``value`` is a string or a path.
+
+    Args:
+        name: Name of the argument, for the message.
+        value: Value of the argument.
+        wanted: Description of what has such a name, for the message.
+    """
     if not isinstance(value, str | Path):
         raise InputError(f"{name} is {value!r}; give the name of {wanted}")
 
@@ -472,7 +481,7 @@ def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
 
     Args:
         action: The action, or actions, as the user gave them.
-        shape: The shape that they must have.
+        shape: The shape that ``action`` must have.
         most: Largest magnitude of a number that is accepted, from `MOST_ACTION`.
 
     Raises:
@@ -487,7 +496,10 @@ def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
 
 
 def bounds_of(most: float) -> str:
-    """Return the range of actions as the end of an error message; empty if larger actions are clipped."""
+    """Return the range of actions as the end of an error message; empty if larger actions are clipped.
+
+    ``most`` is the largest magnitude that is accepted, a value of `MOST_ACTION`.
+    """
     return " between -1 and 1" if most == MOST_ACTION["refuse"] else ""
 
 
@@ -498,7 +510,7 @@ def lost_axes(geometry: Geometry) -> tuple[int, int] | None:
     and J4 are parallel, and so are J5 and J6 (Qiao 2026 digest, fact 4).
 
     Returns:
-        The numbers of the two links, or None if there are no such links.
+        The indices (from 0) of the two links, or None if there are no such links.
     """
     poses = np.random.default_rng(0).uniform(geometry.lower, geometry.upper, (16, geometry.joints))
     links = frames(np, chain_of(geometry), list(np.ascontiguousarray(poses.T)))[1:]
