@@ -39,7 +39,7 @@ class Clone(nn.Module):
     """Network that predicts the tool's next step from an image, the joint values and the gripper's state.
 
     Args:
-        numbers: Number n of joints plus 1, for the gripper's state.
+        numbers: Count n + 1 of the numbers in an input besides the image: n joint values and the gripper's state.
         task: Hash of the nominal arm, its joint increments per control period, and the scale of the scene.
         pixels: Width and height of the images, px.
 
@@ -66,7 +66,7 @@ class Clone(nn.Module):
             self.register_buffer(name, th.ones(size))
 
     def forward(self, pictures: th.Tensor, numbers: th.Tensor) -> th.Tensor:
-        """Return steps ``(b, 7)`` of the tool, in the tool's frame, and of the gripper, each divided by its ``unit``.
+        """Return steps ``(b, 7)`` of the tool, in the tool's frame, and of the gripper, divided by `unit`.
 
         Args:
             pictures: Images, uint8 ``(b, 3, h, w)``.
@@ -161,7 +161,16 @@ def clone(
 def _fit(
     network: Clone, pictures: th.Tensor, numbers: th.Tensor, wanted: th.Tensor, passes: int, progress: Progress | None
 ) -> None:
-    """Train a network in place, with the mean absolute error from the steps ``wanted (k, 7)`` as its loss."""
+    """Train a network in place, with the mean absolute error as its loss.
+
+    Args:
+        network: The network.
+        pictures: Images, uint8 ``(k, 3, h, w)``.
+        numbers: Joint values and gripper state ``(k, n + 1)``.
+        wanted: The steps that the network should return ``(k, 7)``, as `Clone.forward` explains them.
+        passes: Number of epochs.
+        progress: Called with (name, epochs done, total), or None.
+    """
     batches = -(-len(wanted) // BATCH)
     optimiser = th.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
     rates = th.optim.lr_scheduler.OneCycleLR(optimiser, RATE, passes * batches)
@@ -214,7 +223,11 @@ class ClonedScene(ReachController):
 
 
 def _looked(observation: Any) -> tuple[NDArray[Any], Array]:
-    """Return the wrist camera's images, and joint values with gripper state, from one observation or many."""
+    """Return the wrist camera's images, and joint values with gripper state, from one observation or many.
+
+    Raises:
+        InputError: If the observation has none of the two.
+    """
     try:
         return np.asarray(observation["pixels"][CAMERA]), np.asarray(observation["agent_pos"], dtype=float)
     except (KeyError, TypeError, IndexError) as error:
@@ -224,13 +237,22 @@ def _looked(observation: Any) -> tuple[NDArray[Any], Array]:
 
 
 def _task_of(env: Any) -> str:
-    """Return a hash of all that a step depends on: the nominal arm, its joint increments, and the scene's scale."""
+    """Return a hash of all that a network's step depends on: nominal arm, joint increments, and the scene's scale."""
     inner = env.unwrapped
     return content_sha256(inner.plant.arm.fingerprint(), np.array(inner.increment).tolist(), inner.scene.around.scale)
 
 
 def _tool_steps(geometry: Geometry, joints: Array, moves: Array) -> Array:
-    """Convert joint steps and gripper ``(k, n + 1)`` to tool steps, m and rad, and gripper ``(k, 7)``, tool frame."""
+    """Convert joint steps to tool steps.
+
+    Args:
+        geometry: Nominal geometry of the arm.
+        joints: Joint values before the steps ``(k, n)``, rad or m.
+        moves: Joint steps, rad or m, and then the gripper's command ``(k, n + 1)``.
+
+    Returns:
+        Steps of position (m) and attitude (rad) in the tool's frame, and then the gripper's command ``(k, 7)``.
+    """
     steps = np.einsum("kij,kj->ki", joint_jacobian(geometry, joints), moves[:, :-1]).reshape(-1, 2, 3)
     within = np.einsum("kji,kpj->kpi", forward(geometry, joints).rotation, steps).reshape(-1, 6)
     return np.concatenate([within, moves[:, -1:]], axis=1)

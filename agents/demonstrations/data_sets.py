@@ -52,7 +52,7 @@ POLICIES = {
     ("sight", "expert"): "ServoScene with a perfect arm; it sees the fruit exactly",
     ("sight", "medium"): "ServoScene with an arm that errs; it sees the fruit exactly",
 }
-"""Description of the policy of each data set, by task and quality."""
+"""Description of the policy of each data set, by task and quality ("expert", "medium" or "random")."""
 
 SIGHT: Mapping[str, Any] = {
     "obs_type": "pixels_environment_state_agent_pos",
@@ -179,7 +179,11 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
 
 
 def _episodes(task: str, quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Record canopies or scenes, one after the other, and yield the columns (arrays by name) of each episode."""
+    """Record one canopy or scene per seed, and yield the columns (arrays by name) of each episode.
+
+    The ``task`` is "pick", "scene" or "sight". The ``quality`` "random" acts at random with ``rng``; "expert" and
+    "medium" run the policies that `POLICIES` describes.
+    """
     env = gym.make(TASKS[task], **ARMS.get((task, quality), {}))
     if quality == "random":
         policy: Any = RandomReach(env, rng)
@@ -229,7 +233,7 @@ def arms_of(env: Any) -> dict[str, dict[str, list[float]]]:
 
 
 def _stacked(values: Sequence[Any]) -> Any:
-    """Stack values over time into one array, or dictionaries of values into a dictionary of arrays."""
+    """Stack the values of successive steps into one array, or dictionaries of values into a dictionary of arrays."""
     if isinstance(values[0], Mapping):
         return {name: _stacked([value[name] for value in values]) for name in values[0]}
     return np.array(values)
@@ -241,7 +245,11 @@ def _numbers(column: Any) -> bytes:
 
 
 def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: dict[str, Any]) -> dict[str, Any]:
-    """Write a data set and its card, and move them into place once both are complete."""
+    """Write a data set and its card, and move them into ``folder`` once both are complete; return the final card.
+
+    ``name`` is Minari's name of the data set. ``episodes`` has the columns of each episode, and ``card`` the card's
+    entries so far.
+    """
     from unittest.mock import patch  # late: it brings asyncio
 
     import minari
@@ -283,7 +291,7 @@ def _hashes(folder: Path) -> dict[str, str]:
 
 
 def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
-    """Return the card of an existing data set, after a check of its settings and its files.
+    """Return the card of the data set in a folder, after a check of its files and of its settings against ``asked``.
 
     Raises:
         InputError: If the data set has no card, its settings are not those of ``asked``, or its files were changed.

@@ -164,7 +164,7 @@ def compare(
 
 
 def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, float, set[str]]:
-    """Return the plant (the true arm) of an environment, or None without one, and its control period, s.
+    """Return the plant (the true arm) of an environment or None, its control period, s, and what it allows.
 
     The third value may contain "gripper", if the environment judges grasps by its own gripper, and "field", if errors
     can be mapped over a grid of goals.
@@ -196,8 +196,9 @@ def _recorded_policy(
 ) -> RecordedPolicy:
     """Return one policy's E episodes as arrays, each padded to ``longest`` moments.
 
-    Padding repeats the last moment, with reward 0. ``chance`` ``(E,)`` is the probability that the gripper ``judge``
-    captures the fruit.
+    Padding repeats the last moment, with reward 0. A reach picks its fruit if the uniform random number in
+    ``chance (E,)`` is below the probability that the gripper ``judge`` captures it. ``label`` is the policy's display
+    name, and ``plant`` the true arm, or None.
     """
     info = episodes[0][0].info
     padded = [[*episode, *[episode[-1]._replace(reward=0.0)] * (longest - len(episode))] for episode in episodes]
@@ -255,13 +256,23 @@ def _recorded_policy(
 
 
 def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
-    """Return the probability ``(E,)`` that the gripper captures each fruit, given the tool's pose errors ``(E, 6)``."""
+    """Return the probability ``(E,)`` that the gripper ``judge`` captures each fruit.
+
+    Args:
+        judge: Tolerances of the gripper.
+        tool: True poses of the tool ``(E,)``.
+        fruit: True positions of the fruit ``(E, 3)``, m.
+        error: True minus wanted poses of the tool ``(E, 6)``, m and rad.
+    """
     aim = attitude_after(tool, -error[:, 3:])[..., 2]
     return capture_probability(judge, *misalignment(fruit - tool.position, tool.rotation[..., 2], aim))
 
 
 def _field(contender: Contender, env_id: str, arguments: Arguments, grid: FieldGrid, seed: int, number: int) -> Array:
-    """Return a policy's final pose errors ``(F, 6)``, m and rad, at the F goals of a grid."""
+    """Return a policy's final pose errors ``(F, 6)``, m and rad, at the F goals of a grid.
+
+    The policy's own random draws depend on ``seed`` and on its index ``number`` (from 0) in the comparison.
+    """
     steps = gym.spec(env_id).max_episode_steps or 60
     envs: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(
         env_id, num_envs=len(grid.joints), autoreset_mode="Disabled", **arguments
@@ -281,7 +292,10 @@ def _field(contender: Contender, env_id: str, arguments: Arguments, grid: FieldG
 
 
 def _command(policies: Sequence[Given], options: Arguments, labels: Sequence[str], arguments: Arguments) -> str:
-    """Return the command line that reproduces a comparison; a policy object appears by the name of its type."""
+    """Return the command line that reproduces a comparison; a policy object appears by the name of its type.
+
+    The arguments are those of `compare`: ``options`` has the named ones, and ``arguments`` those of the environment.
+    """
 
     def word(value: Any) -> str:
         return str(value) if isinstance(value, str | Path | int | float) else f"<{type(value).__name__}>"

@@ -42,8 +42,8 @@ class Kind:
         raw_only: Whether the policy is evaluated only without a compensator, because it corrects the arm's errors
             itself.
         files: Policy files, one per training seed; empty for a registered policy.
-        moves_tool: Whether the policy acts in `pickenv/ReachTool-v0`, whose fruit are elsewhere than those of other
-            policies.
+        moves_tool: Whether the policy acts in `pickenv/ReachTool-v0`, where fruit hangs at other places than in
+            `pickenv/Reach-v0`.
         picks: Whether the policy acts in `pickenv/Pick-v0`; such a policy cannot act in reach environments.
     """
 
@@ -56,7 +56,7 @@ class Kind:
 
     @property
     def steps(self) -> int:
-        """Number of steps in an episode."""
+        """Number of steps in an episode in which such a policy is evaluated."""
         return SEQUENTIAL_STEPS if self.sequential else 60
 
 
@@ -113,7 +113,7 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
     Args:
         name: Name of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
         camera_noise_mm: Standard deviation of the camera noise that an adaptive policy assumes, mm per axis.
-        compensation: Compensation between the policy and the arm; "raw" for none.
+        compensation: Name of the compensation between the policy and the arm, such as "ls"; "raw" for none.
 
     Raises:
         InputError: If the policy acts in `pickenv/Pick-v0` and cannot reach, or ``name`` names no policy.
@@ -146,7 +146,10 @@ def policy_name(name: str) -> str:
 
 
 def _kind_of_files(folder: str, files: tuple[str, ...]) -> Kind:
-    """Return the properties of the trainings in a folder, which must differ in their seeds alone."""
+    """Return the properties of the policies in a folder of trainings, which must differ in their seeds alone.
+
+    ``files`` has the path of one policy file per training.
+    """
     if not files:
         raise InputError(
             f"{folder} holds no trainings; give the folder of a training, or one whose folders hold a policy.npz each, "
@@ -172,7 +175,7 @@ def _kind_of_policy(policy: LearnedPolicy | RememberingPolicy) -> Kind:
 
 
 def _envs_of(name: str) -> Callable[..., ReachVectorEnv]:
-    """Return the constructor of the environments in which `pickenv.agents.roll_out` evaluates a policy."""
+    """Return the constructor of the environments in which `pickenv.agents.roll_out` evaluates the policy ``name``."""
     kind = kind_of(name)
     if kind.picks:
         raise InputError(f"{policy_name(name)} picks, and cannot be compared on reaches; judge it in pickenv/Pick-v0")
@@ -317,7 +320,10 @@ def _pair(policy: Given) -> tuple[Given, str | Path | Calibration | None]:
 def _calibrated(
     given: str | Path | Calibration | None, arm: Any, allow: Collection[str]
 ) -> tuple[str, Compensate | None]:
-    """Return a calibration's name for labels and its compensator; "raw" and None without a calibration."""
+    """Return a calibration's name for labels and its compensator; "raw" and None without a calibration.
+
+    ``given`` is one entry of the argument ``compensate`` of `contenders_of`, which explains ``arm`` and ``allow`` too.
+    """
     if given is None:
         return "raw", None
     calibration, part = given, ""
@@ -337,7 +343,10 @@ def _name(policy: Given) -> str:
 
 
 def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
-    """Return one label per contender, made of what differs between them: the calibration, the policy, or both."""
+    """Return one label per contender, made of what differs between them: the calibration, the policy, or both.
+
+    ``policies`` has the name of each contender's policy, and ``stages`` that of its calibration, "raw" without one.
+    """
     if len(policies) == 1:
         return [policies[0] if stages[0] == "raw" else stages[0]]
     if len(set(policies)) == 1:

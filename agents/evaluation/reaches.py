@@ -158,7 +158,7 @@ class Rollout:
 
     Attributes:
         reaches: Last step of each episode.
-        arm: Index of each episode's arm ``(R,)``.
+        arm: Index of each episode's arm among the arms that were run ``(R,)``, from 0.
         wanted_rotation: Wanted tool attitude of each episode ``(R, 3, 3)``, as a rotation matrix.
         error_mm: Distance between the tool's true position and the fruit after each step ``(steps, R)``.
     """
@@ -206,7 +206,7 @@ def roll_out(
         sequential: Whether each arm reaches for its fruit one after the other, for policies that learn from episode to
             episode.
         steps: Number of steps in an episode.
-        first: Index of the first arm to run in the population; the other arms have the next indices.
+        first: Index (from 0) of the first arm to run in the population; the arms after it have the next indices.
         arguments: Further keyword arguments of `pickenv/Reach-v0`.
 
     Raises:

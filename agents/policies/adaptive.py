@@ -31,8 +31,8 @@ class LookingReach(ScriptedReach):
     """Base class of reach policies that learn each arm's errors from the camera at past fruit.
 
     The policy drives to corrected joint targets, and averages the camera's measurements while the arm stands there. It
-    learns from the average when the next episode begins. Each row of a batch is one arm. Subclasses define how the arms
-    are modelled, corrected and learnt: `meet`, `corrected` and `learn`.
+    learns from the average when the next episode begins. Each observation of a batch is of another arm. Subclasses
+    define how the arms are modelled, corrected and learnt: `meet`, `corrected` and `learn`.
     """
 
     called = "remembering"
@@ -79,10 +79,10 @@ class LookingReach(ScriptedReach):
         raise NotImplementedError
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """Return joint targets at which the modelled arms have the nominal arm's tool positions at ``joints``.
+        """Return joint targets ``(r, n)`` that put the modelled arms' tools where the nominal tool is at ``joints``.
 
         Args:
-            rows: Indices of the arms ``(r,)``.
+            rows: Indices of the arms ``(r,)``, from 0.
             joints: Joint values of the nominal arm ``(r, n)``, rad or m.
         """
         raise NotImplementedError
@@ -91,9 +91,9 @@ class LookingReach(ScriptedReach):
         """Update the models of arms with measured tool positions.
 
         Args:
-            rows: Indices of the arms ``(r,)``.
+            rows: Indices of the arms ``(r,)``, from 0.
             joints: Joint values at which the arms stood ``(r, n)``, rad or m.
-            seen: Mean measured position of each tool ``(r, 3)``, m.
+            seen: Mean measured position of each tool ``(r, 3)``, m, base frame.
             looks: Number of measurements averaged in each mean ``(r,)``.
         """
         raise NotImplementedError
@@ -102,7 +102,8 @@ class LookingReach(ScriptedReach):
 class AdaptiveReach(LookingReach):
     """Reach policy that updates a Kalman filter of each arm's parameters after every pick.
 
-    Each row of a batch is one arm. With a compensator, the filter models the errors that remain after compensation.
+    Each observation of a batch is of another arm. With a compensator, the filter models the errors that remain after
+    compensation.
     """
 
     called = "adaptive"
@@ -133,7 +134,7 @@ class AdaptiveReach(LookingReach):
             self.filters = [self.start] * arms
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """Return joint targets ``(r, n)`` with the filters' arm models at the nominal tool positions."""
+        """Return joint targets ``(r, n)`` by the filters' arm models; see `LookingReach.corrected`."""
         return aimed(self.geometry, [self.filters[row] for row in rows], joints)
 
     def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
@@ -197,7 +198,7 @@ def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation:
         env: Environment, which gives the nominal arm.
         seed: Not used.
         camera_noise_mm: Standard deviation of the camera's noise, mm per axis.
-        compensation: Compensation between the policy and the arm; "raw" for none.
+        compensation: Name of the compensation between the policy and the arm, such as "ls"; "raw" for none.
     """
     prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
     return AdaptiveReach(env, camera_std=camera_noise_mm * 1e-3, prior=prior)

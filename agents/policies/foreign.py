@@ -34,7 +34,7 @@ TELLING: Mapping[str, tuple[str, str]] = {
     "clip_range": ("stable_baselines3", "PPO"),
     "gae_lambda": ("stable_baselines3", "A2C"),
 }
-"""Settings in a zip file that identify its algorithm, and the algorithm's module and name; tried in this order."""
+"""Module and name of an algorithm, by the name of a setting that only its zip files have; tried in this order."""
 
 RECURRENT = ("sb3_contrib", "RecurrentPPO")
 """Module and name of the algorithm of a zip file with a recurrent policy class, which otherwise looks like PPO."""
@@ -71,7 +71,7 @@ def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
 
     Args:
         path: Zip file that a model's ``save`` wrote, or Python file that defines ``make_policy(env, seed)``. The object
-            that this function returns must have ``act(observation)`` and ``reset()``.
+            that ``make_policy`` returns must have ``act(observation)`` and ``reset()``.
         env: Environment, single or vector.
         seed: Seed of the policy's own random draws.
 

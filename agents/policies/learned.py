@@ -47,7 +47,10 @@ class Actor:
     record: Mapping[str, Any]
 
     def through_layers(self, values: Array, activation: str) -> Array:
-        """Return the last layer's output for inputs ``(..., inputs)``; ``activation`` follows each earlier layer."""
+        """Return the last layer's output for inputs ``(..., inputs)``.
+
+        ``activation`` is the name of the function after each layer but the last, a key of `ACTIVATIONS`.
+        """
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = values @ weight + bias
             if i + 1 < len(self.weights):
@@ -61,7 +64,7 @@ class Actor:
 
         Args:
             path: File; ``.npz`` is appended if missing.
-            kind: Kind of the container.
+            kind: Name of the kind of policy, by which `read_actor` recognises the file.
             version: Version of the file's format.
             header: Entries of the header besides those of the actor.
             arrays: Arrays besides weights and biases, stored in single precision.
@@ -118,8 +121,8 @@ def read_actor(name: str | Path, arm: Arm | None, kind: str, version: int, make:
     Args:
         name: Name of a shipped baseline, or path of a policy file.
         arm: Arm for which the policy must have been trained; None to skip this check.
-        kind: Kind of the container.
-        version: Version of the file's format.
+        kind: Name of the kind of policy that the file must hold, as `Actor.write` stored it.
+        version: Newest version of the file's format that is read.
         make: Function that makes the policy from the file's header and arrays.
 
     Raises:

@@ -28,7 +28,7 @@ class Policy(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ObservationParts:
-    """Parts of a flat observation of `pickenv/Reach-v0`.
+    """Parts of a flat observation of `pickenv/Reach-v0`. Positions and vectors are in the base frame.
 
     Attributes:
         joints: Joint readings ``(..., n)``, rad or m.
@@ -82,7 +82,7 @@ def joined_parts(geometry: Geometry, parts: ObservationParts) -> Array:
 
 
 def attitude_after(pose: Pose, turn: Array) -> Array:
-    """Rotate the attitudes of poses by rotation vectors ``turn (..., 3)``, rad, base frame; return ``(..., 3, 3)``."""
+    """Return the attitudes ``(..., 3, 3)`` of ``pose`` rotated by vectors ``turn (..., 3)``, rad, base frame."""
     return displace_pose(pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
 
 
@@ -157,11 +157,17 @@ class ReachController:
 
     @property
     def settled(self) -> Any:
-        """Whether each row's latest reading was taken after the arm had stopped ``(...)``; True without delays."""
+        """Whether the latest reading of each observation was taken after its arm had stopped ``(...)``.
+
+        It is True without delays.
+        """
         return self._still > self.lag if self.lag else True
 
     def action(self, step: Array) -> NDArray[np.float32]:
-        """Return actions for wanted joint steps ``(..., n)``, rad or m, and record them as sent."""
+        """Return the actions ``(..., n)`` that move the joints by ``step (..., n)``, rad or m, and record them as sent.
+
+        Actions are shares of the largest increments, clipped to -1 to 1.
+        """
         shares = np.asarray((step / self.increment).clip(-1.0, 1.0), dtype=np.float32)
         self.sent(shares)
         return shares
@@ -174,7 +180,7 @@ class ReachController:
 
 
 COUNTS = 2e-5
-"""Half an encoder count, rad or m. If the reading of a settled arm differs more from the command, the arm missed it."""
+"""Half an encoder count, rad or m. An arm whose reading at rest differs more from the command did not reach it."""
 
 STANDING = 1e-3
 """Share of an increment below which a joint step counts as standing still."""

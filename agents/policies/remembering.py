@@ -46,7 +46,7 @@ def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -
     Args:
         xp: The module numpy or torch.
         given: Weight arrays by the names in `WINDOW`.
-        memory: Layout of the observations.
+        memory: Layout of the observations: the window of past picks and the next pick.
         seen: Observations ``(N, inputs)``.
 
     Returns:
@@ -90,10 +90,12 @@ def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RememberingPolicy(Actor):
-    """Trained actor with a memory; it acts deterministically, and its layers follow the memory.
+    """Trained actor that remembers past picks and acts deterministically.
+
+    An LSTM or attention reads the observations, and the network layers of `Actor` read the result.
 
     Attributes:
-        memory: Layout of the observations.
+        memory: Layout of the observations: past picks and the next pick.
         arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`.
     """
 
@@ -106,15 +108,17 @@ class RememberingPolicy(Actor):
         return set(self.arrays) == set(LSTM)
 
     def begin(self, rows: int) -> State:
-        """Return the state of ``rows`` arms that have not picked yet; it is empty for a policy with a window."""
+        """Return the state for a number ``rows`` of arms that have not picked yet; a policy with a window has none."""
         units = len(self.arrays["state"]) if self.recurrent else 0
         return np.zeros((rows, units)), np.zeros((rows, units))
 
     def aim(self, seen: NDArray[Any], state: State) -> tuple[NDArray[np.float32], State]:
-        """Return the offset of each aim from its fruit, as actions of `pickenv.wrappers.SameArmVector`, and the state.
+        """Return where to aim beside the next fruit of N arms, and the new state of the policy.
+
+        The offsets from the fruit are actions of `pickenv.wrappers.SameArmVector`.
 
         Args:
-            seen: Observations ``(N, inputs)`` of the same wrapper.
+            seen: Observations ``(N, inputs)`` of `SameArmVector`, one per arm.
             state: State from `begin`, or the state returned at the last pick.
 
         Raises:
@@ -178,7 +182,10 @@ class RememberingReach(LookingReach):
             self._tokens, self._state = self.policy.memory.empty(arms), self.policy.begin(arms)
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """Return joint targets ``(r, n)``: those of the nominal arm, shifted by the offsets that the policy chooses."""
+        """Return joint targets ``(r, n)`` with the nominal tool beside its position at ``joints``.
+
+        The policy chooses the offset of each arm; see `LookingReach.corrected` for the arguments.
+        """
         observations = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens[rows])
         actions, state = self.policy.aim(observations, (self._state[0][rows], self._state[1][rows]))
         self._state[0][rows], self._state[1][rows] = state

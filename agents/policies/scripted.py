@@ -38,11 +38,11 @@ class ScriptedReach(policy.ReachController):
         return self.action(self._wanted - reading.joints)
 
     def wanted_pose(self, reading: policy.ObservationParts) -> Pose:
-        """Return the tool's target pose: the measured fruit position with the wanted attitude."""
+        """Return the target pose of the tool, which ``reading`` has: measured fruit position and wanted attitude."""
         return Pose(reading.seen, policy.attitude_after(forward(self.geometry, reading.joints), reading.turn))
 
     def wanted_joints(self, reading: policy.ObservationParts) -> Array:
-        """Return joint values ``(..., n)`` at which the nominal arm's tool has its target pose, rad or m.
+        """Return joint values ``(..., n)``, rad or m, with the nominal arm's tool at `wanted_pose`.
 
         Raises:
             InputError: If the nominal arm cannot reach the fruit.
@@ -81,16 +81,16 @@ class RandomReach:
 class ScriptedScene(ScriptedReach):
     """Scripted policy for `pickenv/PickScene-v0`: approach along the tool axis, stop, advance, grip, and draw back.
 
-    It uses the state observation and the nominal arm. With `feedback="camera"` it stops before the fruit and
+    It uses the state observation and the nominal arm. With `feedback="camera"` it stops short of the fruit and
     measures the mean difference between the camera's gap to the fruit and the believed gap. It then corrects its target
     by this difference.
     """
 
     FAR, BEFORE, PRESS, AWAY = -0.2, -0.08, 0.003, -0.4
-    """Positions of the tool along its axis relative to the fruit, m at full scale. They are the start, the stop before
-    the fruit, the end of the advance, and the end of the retreat."""
+    """Positions of the tool along its axis, m at full scale, negative short of the fruit. They are the start, the stop,
+    the end of the advance, and the end of the retreat."""
     STAND, GRIP = 40, 10
-    """Number of steps for which the arm stands before the fruit, and for which it grips."""
+    """Number of steps for which the arm stands at the stop short of the fruit, and for which it grips."""
     _PATIENCE = (0, STAND, 0, GRIP, np.inf)
     SLOW, NEAR = 0.003, 2e-3
     """Distance per step near the fruit, m at full scale, and joint error below which joints have arrived, rad or m."""
@@ -131,7 +131,10 @@ class ScriptedScene(ScriptedReach):
         return np.append(self.action(away), 1.0 if self._stage >= 2 else -1.0).astype(np.float32)
 
     def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
-        """Return the measured minus the believed gap to the fruit ``(3,)``, m; None without a measurement."""
+        """Return the gap from tool to fruit as measured minus the believed one ``(3,)``, m, base frame.
+
+        Without a camera measurement return None.
+        """
         return None if reading.camera is None else reading.camera - reading.offset
 
     def _along(self, joints: Array, distance: float) -> Array:
@@ -141,7 +144,10 @@ class ScriptedScene(ScriptedReach):
         return joints
 
     def _drawn(self, joints: Array, distance: float) -> Array:
-        """Return joints ``(n,)`` with the tool ``distance``, m, along its axis from the fruit, in any attitude."""
+        """Return joints ``(n,)`` near ``joints`` with the tool away from the fruit by ``distance``, m, in any attitude.
+
+        The distance is along the wanted tool axis and negative short of the fruit.
+        """
         assert self._wanted is not None
         goal, g = forward(self.geometry, self._wanted), self.geometry
         target, free = goal.position + goal.rotation[:, 2] * distance, np.ones(g.joints, dtype=bool)
@@ -157,7 +163,10 @@ class ScriptedScene(ScriptedReach):
         return np.asarray(joints)
 
     def _moved(self, joints: Array, shift: Array) -> Array:
-        """Return joints with the tool displaced by ``shift (3,)``, m, and its attitude kept as far as possible."""
+        """Return joints ``(n,)`` with the tool displaced from where it is at ``joints``, its attitude kept if possible.
+
+        The displacement is ``shift (3,)``, m, base frame.
+        """
         jacobian = joint_jacobian(self.geometry, joints)
         step = truncated_inverse(jacobian) @ np.concatenate([shift, np.zeros(3)])
         if np.linalg.norm(jacobian[:3] @ step - shift) > STRAY * np.linalg.norm(shift):  # the attitude gives way
@@ -246,8 +255,8 @@ SETTLED = 16
 """Number of steps for which the arm stands still before the policy measures the gap to the fruit."""
 
 STRAY = 0.01
-"""Largest relative position error of a move that keeps the tool's attitude. If it is larger, the attitude may
-change."""
+"""Largest position error of a move that keeps the tool's attitude, as a share of the move. If the error is larger, the
+attitude may change."""
 
 MOST_WAITED = 60
 """Number of steps after which the policy goes on even if the joints have not arrived."""
@@ -267,12 +276,12 @@ class OracleReach(ScriptedReach):
     """
 
     def wanted_joints(self, reading: policy.ObservationParts) -> Array:
-        """Return joint values ``(..., n)`` at which the true arm's tool has its target pose, rad or m."""
+        """Return joint values ``(..., n)``, rad or m, at which the true arm at rest has its tool at `wanted_pose`."""
         return _of_true_arm(self.env.plant, super().wanted_joints(reading), self.wanted_pose(reading))
 
 
 def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
-    """Return joints ``(..., n)`` near ``joints``, rad or m, with the tool of the true arm at rest at ``pose``."""
+    """Return joints ``(..., n)`` near ``joints``, rad or m, at which the true arm at rest has its tool at ``pose``."""
     nominal = plant.arm.nominal
     for _ in range(ITERATIONS):
         back = truncated_inverse(joint_jacobian(plant.geometry, joints))
@@ -341,7 +350,7 @@ PICK_ARRIVED = 2e-4
 """Joint error below which a joint counts as arrived, m or rad."""
 
 PASSED = 10.0
-"""Factor on the arrival tolerance, for waypoints before the fruit."""
+"""Factor on the arrival tolerance, for all waypoints but the fruit itself."""
 
 GENTLE = 0.75
 """Tool speed as a share of the speed that bruises fruit; the margin is for swing and following error."""
@@ -350,7 +359,7 @@ HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
 
 OUT, BELOW, AT = range(3)
-"""Indices of the three waypoints to a fruit: below the last fruit, below this fruit, and at this fruit."""
+"""Indices of the three waypoints to a fruit: below the fruit before, below this fruit, and at this fruit."""
 
 
 class ScriptedPick(policy.ReachController):
@@ -437,13 +446,13 @@ class ScriptedPick(policy.ReachController):
         return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
-        """Plan three waypoints: below the last fruit, below the next one, and at the next one.
+        """Plan three waypoints: below the fruit tried last, below the next fruit, and at the next fruit.
 
         Args:
-            rows: Indices of the environments.
-            joints: Present joints ``(rows, n)``, rad or m.
-            seen: Measured positions of the next fruit ``(rows, 3)``, m, base frame.
-            turn: Rotation vectors from the believed to the upright tool attitude ``(rows, 3)``, rad.
+            rows: Indices of the r environments, from 0.
+            joints: Present joints ``(r, n)``, rad or m.
+            seen: Measured positions of the next fruit ``(r, 3)``, m, base frame.
+            turn: Rotation vectors from the believed to the upright tool attitude ``(r, 3)``, rad.
         """
         upright = policy.attitude_after(forward(self.geometry, joints), turn)
         aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
@@ -456,9 +465,9 @@ class ScriptedPick(policy.ReachController):
         self._fruit[rows], self._spent[rows] = seen, 0.0
 
     def _corrected(self, rows: Any, at: Array) -> Array:
-        """Return the joints ``(..., n)`` at which to grasp in the environments ``rows``; here they are ``at``.
+        """Return the joints ``(..., n)`` at which to grasp in the environments ``rows`` (indices from 0).
 
-        ``at`` are the nominal joints at the fruit, rad or m.
+        ``at`` are the nominal arm's joints at the fruit, rad or m. This class returns them; subclasses correct them.
         """
         return at
 
@@ -471,9 +480,10 @@ class ScriptedPick(policy.ReachController):
         return np.asarray(np.abs(goals - joints).max(axis=-1))
 
     def _shares(self, joints: Array, away: Array) -> Array:
-        """Return the action ``(..., n)`` towards joints that are ``away`` off, within the limits of speed.
+        """Return the action ``(..., n)`` towards a goal of the joints, within the limits of joint speed and tool speed.
 
-        All joints are scaled by one factor, so that the tool's path is nearly straight.
+        ``joints`` are the present joints, and ``away`` is the goal minus these, ``(..., n)``, rad or m. All joints are
+        scaled by one factor, so that the tool's path is nearly straight.
         """
         step = self.gain[..., None] * away
         share = step / self.increment
@@ -504,7 +514,7 @@ PATIENCE = 3
 
 @dataclass(eq=False)
 class _Arm:
-    """State of one slave (picking arm) of the machine: its fruit still to pick, and the phase of its present pick."""
+    """State of one slave (picking arm): indices of its fruit still to pick, its present fruit, and the pick's phase."""
 
     queue: list[int] = field(default_factory=list)
     fruit: int | None = None
@@ -551,7 +561,12 @@ class ScriptedHarvest:
         return dict(zip(observations, self.act(shared).reshape(-1, 3), strict=True))
 
     def _decoded(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return joints, each blade's remaining time, fruit positions (base frame, m), and flags of fruit in reach."""
+        """Take apart the observation ``values`` of `pickenv/Harvest-v0`.
+
+        Returns:
+            The joints (rad or m), the share of sensing and cutting that each slave still has to do, the positions of
+            the fruit ``(fruit, 3)``, m, base frame, and flags of the fruit that hangs in reach.
+        """
         machine, n = self.machine, self.machine.joints
         joints = machine.lower + (values[:n] + 1) / 2 * (machine.upper - machine.lower)
         slots = values[n + machine.arms :].reshape(-1, 4)
@@ -568,7 +583,15 @@ class ScriptedHarvest:
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
-        """Return the next joint goal of slave ``i``, rad or m, and advance the phase of its pick."""
+        """Return the next joint goal ``(3,)`` of a slave, rad or m, and advance the phase of its pick.
+
+        Args:
+            i: Index of the slave, from 0.
+            arm: State of the slave.
+            here: Present joints of the slave ``(3,)``.
+            cutting: Whether the slave's blade is closing.
+            hangs: Flags of the fruit that hangs in reach.
+        """
         home, work = self.machine.slave_home, self._work
         if arm.fruit is None:
             if not arm.queue or work is None:
@@ -594,7 +617,7 @@ class ScriptedHarvest:
         return {"travel": below, "out": out, "rise": np.asarray(at)}[arm.phase]
 
     def _clear(self, i: int, fruit: int) -> bool:
-        """Whether slave ``i`` can go out to ``fruit`` without colliding with another slave that is out at a fruit."""
+        """Whether slave ``i`` can go out to ``fruit`` (indices from 0) without hitting another slave that is out."""
         assert self._work is not None
         return not any(
             arm.fruit is not None and arm.phase != "travel" and self._work.conflict[i, fruit, k, arm.fruit]

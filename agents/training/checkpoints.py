@@ -49,7 +49,7 @@ State = dict[str, Any]
 def save_checkpoint(
     path: Path, model: Any, env: Sb3Vec, training: Training, inputs: Inputs, evaluations: Evaluations
 ) -> Path:
-    """Write a checkpoint, completely or not at all: everything on which the rest of a training depends.
+    """Write a checkpoint, completely or not at all: everything on which the continuation of a training depends.
 
     Args:
         path: File to write.
@@ -105,7 +105,7 @@ def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
 
 
 def _is_a(value: Any, kind: Any) -> bool:
-    """Whether a value has an annotated type, such as int | None; the contents of a list or a dict are not checked."""
+    """Whether a value has the type ``kind`` of an annotation, such as int | None; contents of lists are not checked."""
     kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
     return type(value) in {get_origin(option) or option for option in kinds}
 

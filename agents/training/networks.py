@@ -22,8 +22,8 @@ from pickenv.wrappers import MOST_SEEN, PickMemory, Scaling, joined_observation
 
 
 MOST = 3.0
-"""Bound on an action divided by its share (`ScaledFeatures.share`), as the critics read it. It matters for hindsight
-goals, which lie near the tool, where shares are near zero."""
+"""Bound on the actions that critics read, which are divided by the factor `ScaledFeatures.share`. It matters for
+hindsight goals: they lie near the tool, where this factor is near zero."""
 
 
 class ScaledFeatures(BaseFeaturesExtractor):
@@ -41,7 +41,7 @@ class ScaledFeatures(BaseFeaturesExtractor):
         return cast(th.Tensor, self.scaling.observe(joined_observation(observations, th), th))
 
     def share(self, observations: Any) -> th.Tensor:
-        """Return the share ``(N, 1)`` by which actions are multiplied; it depends on the gap to the goal."""
+        """Return the factor ``(N, 1)``, at most 1, that multiplies actions; it shrinks with the gap to the goal."""
         return cast(th.Tensor, self.scaling.share(joined_observation(observations, th), th))
 
 
@@ -50,23 +50,23 @@ def _scaling(module: Any) -> ScaledFeatures:
 
 
 class _ScaledActions:
-    """Mixin for actors that multiplies their outputs by the scaling's share."""
+    """Mixin for actors that multiplies their outputs by the factor `ScaledFeatures.share`."""
 
     def forward(self, obs: Any, deterministic: bool = False) -> th.Tensor:
-        """Return actions, multiplied by the share."""
+        """Return actions, multiplied by the factor `ScaledFeatures.share`."""
         return super().forward(obs, deterministic) * _scaling(self).share(obs)  # type: ignore[misc, no-any-return]
 
     def action_log_prob(self, obs: Any) -> tuple[th.Tensor, th.Tensor]:
-        """Return actions, multiplied by the share, and the log-probability of the actor's own output."""
+        """Return actions, multiplied by `ScaledFeatures.share`, and the log-probability of the actions before that."""
         action, log_prob = super().action_log_prob(obs)  # type: ignore[misc]
         return action * _scaling(self).share(obs), log_prob
 
 
 class _ScaledValues:
-    """Mixin for critics that divides actions by the scaling's share."""
+    """Mixin for critics that divides the actions that they read by the factor `ScaledFeatures.share`."""
 
     def forward(self, obs: Any, actions: th.Tensor) -> Any:
-        """Return the critics' values of observations and actions."""
+        """Return each critic's value of actions at observations ``obs``."""
         return super().forward(obs, (actions / _scaling(self).share(obs)).clamp(-MOST, MOST))  # type: ignore[misc]
 
 
@@ -130,7 +130,7 @@ class HistoryFeatures(BaseFeaturesExtractor):
     """Feature extractor for the next pick that weighs a window of past picks by attention."""
 
     def __init__(self, observation_space: spaces.Box) -> None:
-        """Make the encoder for the observation space of `pickenv.wrappers.SameArm` with a window."""
+        """Make the extractor for the observation space of `pickenv.wrappers.SameArm` with a window of past picks."""
         window = int((observation_space.high == MOST_SEEN).sum()) // 3
         memory = PickMemory((observation_space.shape[0] - 4 * window) // (1 + window), window)
         super().__init__(observation_space, memory.joints + HEADS * (3 + MADE) + 1)

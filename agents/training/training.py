@@ -25,7 +25,7 @@ from pickenv.base import InputError, locked, torch_on_one_thread, write_json
 
 
 class EverySoOften(BaseCallback):
-    """Callback that calls ``act`` every ``steps`` environment steps, between an update and the next rollout."""
+    """Callback that calls ``act(callback)`` every ``steps`` environment steps, between an update and a rollout."""
 
     def __init__(self, steps: int, act: Callable[[BaseCallback], object]) -> None:
         super().__init__()

@@ -161,7 +161,7 @@ def make_environment(training: Training, count: int, mode: str, number: int = 0)
         training: Settings of the training.
         count: Number of environments.
         mode: Autoreset mode: "SameStep", "NextStep" or "Disabled".
-        number: Index of the plant in the training's list of plants.
+        number: Index of the plant in the training's list of plants, from 0.
 
     Raises:
         InputError: If the environment refuses an argument, or the calibration is missing or of another arm.
@@ -244,8 +244,8 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
         The Stable-Baselines3 model and its environments.
 
     Raises:
-        InputError: If the algorithm is "ppo" and the observations are goal observations. Also if a memory has several
-            layers, because a policy file stores only one.
+        InputError: If the algorithm is "ppo" and the observations are goal observations. Also if the LSTM of
+            "ppo_lstm" has several layers, because a policy file stores only one.
     """
     from sb3_contrib import TQC, RecurrentPPO
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
@@ -352,7 +352,7 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
 
 
 def _picked(policy: RememberingPolicy, envs: SameArmVector | SameArmMixture) -> dict[str, Any]:
-    """Run a policy with a memory once on every arm, and return the infos as arrays ``(picks, arms)``."""
+    """Run a policy with a memory on every arm of ``envs`` for all its picks; return the infos as ``(picks, arms)``."""
     observations, _ = envs.reset(seed=HELD_OUT)
     state, rows = policy.begin(envs.num_envs), []
     for _ in range(envs.run.picks):
@@ -363,7 +363,7 @@ def _picked(policy: RememberingPolicy, envs: SameArmVector | SameArmMixture) -> 
 
 
 def words_of(row: dict[str, float]) -> str:
-    """Return a line of text that summarises an evaluation."""
+    """Return a line of text that summarises an evaluation; ``row`` has the numbers that `judge` returned."""
     if "mean_mm" in row:
         return f"{row['mean_mm']:.3f} mm mean, {row['p95_mm']:.3f} mm p95 on held-out fruit"
     return f"{row['collected']:.2f} of {row['reachable']:.2f} reachable fruit per held-out canopy"
