@@ -162,7 +162,18 @@ def next_step(arm: str | None, out: Path | None, refused: bool) -> str:
 
 
 def write_run(folder: Path, command: str, seed: int, result: pickenv.Result, seeds: dict[str, Any]) -> list[Path]:
-    """Write the run folder of `pickenv calibrate --run`: calibration, results, report, and the data of figures."""
+    """Write the run folder of `pickenv calibrate --run`: calibration, results, report, and the data of figures.
+
+    Args:
+        folder: The run folder.
+        command: The command line, for the record of the run.
+        seed: The seed of the run.
+        result: The result of the calibration.
+        seeds: Seeds by name, for the record of the run.
+
+    Returns:
+        The paths of the files written.
+    """
     from pickenv.inspect.runs.calibration_trace import trace_of, views_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
 

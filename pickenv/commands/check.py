@@ -138,7 +138,10 @@ def folder_findings(folder: Path) -> list[Finding]:
 
 
 def _faults(what: str, faults: Iterable[tuple[Path, str | None]]) -> list[Finding]:
-    """Return a finding for each file of kind ``what``, given its path and its fault (None for a sound file)."""
+    """Return a finding for each pair in ``faults``: a file's path and its fault, or None for a sound file.
+
+    ``what`` is the kind of all these files, as findings name it.
+    """
     return [Finding(str(path), what, reason=reason) for path, reason in faults]
 
 
@@ -189,7 +192,7 @@ def _kind_of(path: Path) -> tuple[str, int | None]:
 
 
 def _verified(path: Path, kind: str) -> str:
-    """Verify a file of a given kind, and return a few words about its content.
+    """Verify a file of the kind ``kind``, a name that `_kind_of` returned; return a few words about its content.
 
     The function that reads this kind decides which versions it accepts.
 
@@ -293,8 +296,8 @@ FILES: Mapping[str, str | tuple[str, Mapping[str, str]]] = {
         },
     ),
 }
-"""For each kind of file, the place "module:name" of its class, or of a function that returns the class. For a kind with
-several sections, a pair: the name of the class to make, and the places of the sections' classes."""
+"""For each kind of file, where its class is found: "module:name" of the class, or of a function that returns it. For a
+kind with several sections, a pair: the name of the class to make, and "module:name" of each section's class."""
 
 
 def class_of_file(kind: str) -> Any:

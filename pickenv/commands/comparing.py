@@ -22,7 +22,7 @@ class SeveralValues(showing.CommandOfNames):
     """A command whose options `SEVERAL` take all values up to the next option; these options may also be repeated."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Repeat each option of `SEVERAL` before each of its values, then parse the arguments."""
+        """Parse the words ``args`` of a command line, after repeating each option of `SEVERAL` before each value."""
         spread: list[str] = []
         option = ""
         for word, after in zip(args, [*args[1:], "--"], strict=True):

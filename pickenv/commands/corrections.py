@@ -296,8 +296,8 @@ def twin(
         calibration: Calibration file (.npz).
         out: Write the plant (.npz).
         arm: Arm name or arm file; the arm named in the calibration if left out.
-        rows: Poses or positions that the calibration was fitted to. If it learnt another residual than a Gaussian
-            process, they are needed; if it has a Gaussian process, they are not used.
+        rows: Poses or positions that the calibration was fitted to. They are needed if its learnt residual is not a
+            Gaussian process, and not used if it is one.
         columns: Column description of --rows; pickenv's own if left out.
         seed: Seed of the random waves that represent the residual.
         json_file: Write the plant's summary and notes to this file.

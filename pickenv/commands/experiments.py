@@ -187,7 +187,10 @@ def study(
 
 
 def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], details: bool) -> None:
-    """Print the verdict and the yields, the highest first; with ``details`` all numbers, and causes of differences."""
+    """Print the verdict of a study and the yields, the highest first.
+
+    With ``details`` print all numbers of its ``summary``, and the causes of the differences between arms.
+    """
     from pickenv.experiments.study_findings import study_verdict
     from pickenv.inspect.runs.number_words import between
 
@@ -235,7 +238,10 @@ def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], det
 
 
 def _print_components(summary: dict[str, Any]) -> None:
-    """Print a table for each setting with the causes of the differences between arms."""
+    """Print a table of the causes of the differences between arms; its lines name the method and the number of arms.
+
+    ``summary`` is the study's summary, as it is written to its JSON file.
+    """
     from pickenv.inspect.runs.number_words import said
 
     def cell(row: dict[str, Any], key: str) -> str:

@@ -79,7 +79,7 @@ def _unheard(error: OSError) -> int:
 
 
 def _fault(error: Exception) -> int:
-    """Print that this program is at fault, write the details to a file, and return the exit code."""
+    """Print that this program is at fault, write the details of ``error`` to a file, and return the exit code."""
     words = f"error: pickenv met a fault of its own ({shortened(f'{type(error).__name__}: {error}', SHOWN)})"
     details = f"pickenv {__version__}, Python {sys.version}\n{shlex.join(sys.argv)}\n\n"
     details += "".join(traceback.format_exception(error))

@@ -101,7 +101,11 @@ def _record(run: pickenv.inspect.Run, policy: str | None) -> Path:
 
 
 def _record_evaluation(run: pickenv.inspect.Run, policy: str | None) -> Path:
-    """Record an evaluation, and return the file: one policy with every compensation, first plant and first feedback."""
+    """Record one policy of an evaluation with every compensation, and return the recording's path.
+
+    Of the evaluation's plants and kinds of feedback the first is recorded. ``policy`` is the policy's name, or None for
+    the evaluation's first.
+    """
     from pickenv.experiments.policies import reaches_in
     from pickenv.experiments.policy_tables import read_episodes
 
@@ -131,7 +135,7 @@ def _shown_policy(run: pickenv.inspect.Run, policy: str | None) -> str:
 
 
 def _path_of(run: pickenv.inspect.Run, policy: str | None) -> Path:
-    """Return the path of the recording of one policy of an evaluation."""
+    """Return the path of the recording of one policy of an evaluation; None stands for the evaluation's first."""
     from pickenv.inspect.colours import policy_key
 
     return run.folder / f"{policy_key(_shown_policy(run, policy))}.rrd"

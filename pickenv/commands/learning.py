@@ -104,7 +104,10 @@ def train(
 
 
 def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out: Path) -> None:
-    """Raise an error if an option on the command line differs from the training that is to be resumed."""
+    """Raise an `InputError` if an option on the command line differs from the training that is to be resumed.
+
+    ``begun`` has the settings of this training, and ``out`` is its folder.
+    """
     usual = {"plant": None, "feedback": "encoders", "camera_noise_mm": 0.0, "fruit_noise_mm": 0.0, "tolerances": None}
     said = usual | begun.chosen.get("env_kwargs", {}) | vars(begun) | begun.arguments | {"steps": begun.total}
     said = {PARAMETERS.get(name, name): value for name, value in said.items()} | {"randomise": said["tolerances"]}
@@ -125,15 +128,19 @@ def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out:
 
 
 def _refuse_class(option: str, plants: Sequence[str]) -> None:
-    """Raise an error if a tolerance class is given by ``option`` but the name of every plant begins with a class."""
+    """Raise an `InputError` if every plant has a tolerance class in its name, such as "coarse:ur5e".
+
+    Then the class that the option named ``option`` gives would have no effect.
+    """
     if plants and all(pickenv.arm.class_of(name) is not None for name in plants):
         raise InputError(f"`{option}` changes nothing: plant '{plants[0]}' names its class itself; leave it out")
 
 
 def _was_given(context: typer.Context, name: str) -> bool:
-    """Return whether an option was given on the command line.
+    """Return whether the option with the parameter ``name`` was given on the command line.
 
-    The source is compared by name, since Typer may bring its own copy of click.
+    Click says where an option's value came from. The name of this source is compared, since Typer may bring its own
+    copy of click.
     """
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
@@ -236,7 +243,10 @@ def evaluate(
 
 
 def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]], details: bool) -> None:
-    """Print which policy ends nearest on each plant, and a table: of the errors, or with details of everything."""
+    """Print which policy ends nearest on each plant, and a table of the errors; with ``details`` of all numbers.
+
+    ``rows`` has the results of each policy on each plant, and ``comparisons`` the differences between policies.
+    """
     from pickenv.experiments.policy_tables import HEADS, KEYS, cells_of, gain_words, nearest_words, pivoted
 
     print_verdict("\n".join(nearest_words(rows, comparisons)))
@@ -296,7 +306,10 @@ def datasets(
 
 
 def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
-    """Print what was recorded, and how to read it."""
+    """Print the name and size of each data set recorded in the folder ``out``, and how to read one of them.
+
+    ``cards`` are the data sets' summaries.
+    """
     columns = {
         "final_error_mm": ("error at the end, mean (mm)", 1.0),
         "success": ("success (%)", 100.0),

@@ -198,7 +198,11 @@ def deliver_measured(
 
 
 def show_measured(result: dict[str, Any], details: bool) -> None:
-    """Print AP, RP and drift of measured rows: the worst values, reservations, and a table of the poses."""
+    """Print AP (accuracy), RP (repeatability) and drift of measured rows, with reservations and a table of the poses.
+
+    ``result`` is what `iso9283` writes to its JSON file. With ``details`` all poses, and a table of their drift, are
+    printed.
+    """
     from pickenv.inspect.runs.number_words import said
 
     poses = result["poses"]
@@ -245,7 +249,10 @@ def show_measured(result: dict[str, Any], details: bool) -> None:
 
 
 def _reservations(result: dict[str, Any], cycles: int) -> Iterator[str]:
-    """Yield sentences that a reader of AP and RP must know about the rows, such as too few cycles."""
+    """Yield sentences that a reader of AP and RP must know about the rows, such as that there are too few cycles.
+
+    ``result`` is what `iso9283` writes to its JSON file, and ``cycles`` the least number of measurements of a pose.
+    """
     if result["fitted"]:
         frames, count, numbers = " and ".join(result["fitted"]), result["fitted_numbers"], result["of_numbers"]
         if count < numbers:

@@ -123,7 +123,7 @@ PARAMETERS = {
 
 
 def with_options(text: str) -> str:
-    """Return a message in which parameters of the library (in backticks) are replaced by options of the command.
+    """Return the message ``text`` with parameters of the library (in backticks) replaced by options of the command.
 
     ``give `terms` or `test='b.csv'`` `` becomes "give --terms or --test b.csv". A list becomes one option per value. If
     neither the running command nor `pickenv calibrate` has such an option, the name stays, without backticks.
@@ -153,8 +153,8 @@ def check_workers(workers: int | None, several: bool, executor: str) -> None:
 
     Args:
         workers: Number of processes, or None.
-        several: Whether the executor works in several processes.
-        executor: Name of an executor that works in several processes, for the message.
+        several: Whether the executor that the user chose works in several processes.
+        executor: Name of another executor, which works in several processes and which the message recommends.
 
     Raises:
         InputError: If ``workers`` is above 1 and the executor works in one process.
@@ -211,7 +211,7 @@ def arguments_for(taker: Any, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:
-    """Return an option callback that refuses numbers outside the limits of a quantity (`pickenv.base.LIMITS`)."""
+    """Return an option's callback that refuses numbers outside the limits of ``quantity`` in `pickenv.base.LIMITS`."""
 
     def checked(param: CallbackParam, value: Any) -> Any:
         if value is not None:
@@ -276,9 +276,9 @@ of them."""
 
 
 def _lines_of_files(place: Path, paths: Sequence[Path]) -> Iterator[str]:
-    """Yield lines that name the files of one save: a line per file, or one line for many files in ``place``.
+    """Yield lines that name the files ``paths``: a line per file, or a single line for many files in ``place``.
 
-    The one line begins with the files nearest to ``place``, and with pages (.html) before other files.
+    The single line begins with the files nearest to ``place``, and with pages (.html) before other files.
     """
     if len(paths) <= FILES_OF_A_LINE or not all(path.is_relative_to(place) for path in paths):
         yield from (f"wrote {path}" for path in paths)
@@ -384,11 +384,11 @@ def print_table(
     """Print a table; a table wider than the terminal (or COLUMNS) is printed in parts, one below another.
 
     Args:
-        title: Text above it.
+        title: Text above the table.
         heads: Names of the columns, with units.
         rows: Cells, row by row.
         words: Names of the columns that contain words; the other columns are aligned to the right.
-        caption: Text below it.
+        caption: Text below the table.
         width: Number of characters in a line if the output is not a terminal.
         most: Largest number of rows printed, after which the number of further rows is printed; None prints all.
     """
