@@ -46,12 +46,12 @@ class ArmLook:
     """The look of one arm, of whose polyline P segments are drawn.
 
     Attributes:
-        parts: Indices of the first points of the segments.
+        parts: Index of the first point of each segment in the polyline, from 0.
         radius: Radius of each segment ``(P,)``, m.
         slides: Whether each segment changes its length ``(P,)``.
         sleeve: Length of the outer tube of each segment that changes its length ``(P,)``, m.
-        low: Lowest corner of the arm's workspace ``(3,)``, m.
-        high: Highest corner of the arm's workspace ``(3,)``, m.
+        low: Least x, y and z of the arm's points over sampled poses, without the lowest 3 % ``(3,)``, m.
+        high: Largest x, y and z of the arm's points over sampled poses, without the highest 3 % ``(3,)``, m.
     """
 
     parts: list[int]
@@ -64,7 +64,7 @@ class ArmLook:
 
 @lru_cache(maxsize=8)
 def arm_look(geometry: Geometry) -> ArmLook:
-    """Compute the look of an arm from sampled poses: the segments to draw, their thickness, and the workspace."""
+    """Compute the look of an arm from sampled poses: the segments to draw, their thickness, and the space they fill."""
     points = nominal_points(geometry, halton_joints(geometry, 256))
     parts = drawn_parts(points)
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)[:, parts]
@@ -158,8 +158,8 @@ def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], lengt
 
     Args:
         eye: Position of the camera ``(3,)``, m.
-        ahead: Horizontal unit vector along which it looks ``(3,)``.
-        half_angles: Tangents of half its angles of view, horizontal and vertical.
+        ahead: Horizontal unit vector along which the camera looks ``(3,)``.
+        half_angles: Tangents of half the camera's angles of view, horizontal and vertical.
         length: Distance from the camera to which the edges are drawn, m.
         colour: Colour of the edges.
     """

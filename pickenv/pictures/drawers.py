@@ -35,7 +35,7 @@ FINER = 2
 """Factor by which pictures are drawn larger and then reduced, for smooth edges."""
 NEAREST = 0.05
 LIGHT = np.array([-0.45, 0.65, -0.6]) / np.linalg.norm([0.45, 0.65, 0.6])
-"""Unit vector towards the lamp, with components to the right, up, and away from the viewpoint."""
+"""Unit vector towards the lamp, with components to the right, up, and from the viewer into the scene."""
 SHADE = 0.72
 """Brightness at the edges of drawn rods and balls, as a share of their full colour."""
 
@@ -45,8 +45,8 @@ SMALL, LARGE = 1 / 26, 1 / 19
 DIAL = 0.27
 """Width of the dial, as a share of the picture's height."""
 SHOWN, RIM = 2.2, 0.93
-"""Radius of the dial as a multiple of its ring's radius, and share of the dial's radius at which larger misses are
-drawn."""
+"""`SHOWN` is the radius of the dial as a multiple of its ring's radius. Misses beyond the dial are drawn at the share
+`RIM` of its radius."""
 PLATE = {False: (255, 255, 255, 205), True: (20, 23, 29, 205)}
 """Colour and opacity of the plates behind words and dial, for a light (False) and a dark (True) background."""
 
@@ -83,7 +83,7 @@ def why_plain() -> str | None:
 
 @lru_cache(maxsize=1)
 def _mujoco(process: int) -> MujocoDrawer:
-    """Return MuJoCo's drawer, which is made once in each process."""
+    """Return MuJoCo's drawer for the process with the id ``process``; it is made once in each process."""
     from pickenv.pictures.mujoco_drawer import MujocoDrawer
 
     return MujocoDrawer()
@@ -151,7 +151,11 @@ def _draw_disc(line: tuple[float, ...], radius: float, colour: Array, pen: Image
 
 
 def lettered(pixels: Pixels, stage: Stage) -> Pixels:
-    """Draw the dial of a stage onto its picture, then the words in corners, then the words at points in space."""
+    """Return a picture of a stage with the stage's dial and words drawn onto it.
+
+    ``pixels`` ``(height, width, 3)`` is the picture without them. Words in corners come before words at points in
+    space.
+    """
     if not stage.words and stage.dial is None:
         return pixels
     picture = Image.fromarray(pixels)

@@ -23,7 +23,7 @@ from pickenv.pictures.stage import SIZE, Eye, Mesh, Pixels, Rods, Stage, backdro
 NEAR, FAR = 0.02, 100.0
 """Smallest and largest distance from the viewpoint at which bodies are visible, m."""
 LIGHTS = (((-0.6, 0.9, 1.0), 0.85), ((0.8, 0.2, 1.0), 0.4), ((0.0, -0.5, 1.0), 0.35))
-"""Direction to each light (components to the right, up, and back from the viewpoint), and its strength."""
+"""Direction to each light (components to the right, up, and from the scene to the viewer), and its strength."""
 AMBIENT, DIFFUSE, SPECULAR, SHININESS = 0.3, 0.8, 0.18, 24 / 128
 
 
@@ -74,7 +74,7 @@ class ModelPictures:
 
         Args:
             data: `mujoco.MjData`.
-            camera: Index of the camera in the model.
+            camera: Index of the camera in the model, from 0.
             option: `mujoco.MjvOption`, which says which groups of bodies are shown.
             dark: Whether the background is black instead of a sky.
         """
@@ -120,7 +120,7 @@ class MujocoDrawer:
         return pixels_of(self.scene, self.context, stage.size)
 
     def _make_room(self, room: Array) -> None:
-        """Allocate buffers for ``room``: width and height, px, number of faces, and number of shapes."""
+        """Allocate buffers for four sizes ``room``: picture width and height, px, count of faces, count of shapes."""
         self.room, side = room, int(np.ceil(np.sqrt(room[2] + 1)))
         self.model = mujoco.MjModel.from_xml_string(_model(side, *room[:3]))
         self.context = context_of(self.model)
@@ -131,7 +131,10 @@ class MujocoDrawer:
         self.scene.flextexcoord[:] = np.repeat((np.column_stack([columns, rows]) + 0.5) / side, 3, axis=0).ravel()
 
     def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Array) -> Any:
-        """Add a shape of a `mujoco.mjtGeom` kind to the scene, and return it, as `mujoco.mjv_initGeom` does."""
+        """Add a shape of a `mujoco.mjtGeom` kind to the scene, and return it.
+
+        `mujoco.mjv_initGeom` explains ``size``, ``place`` (position, m), ``turn`` (rotation matrix) and ``colour``.
+        """
         shape = self.scene.geoms[self.scene.ngeom]
         self.scene.ngeom += 1
         mujoco.mjv_initGeom(shape, kind, size, place, turn.ravel(), colour.astype(np.float32))
@@ -158,7 +161,10 @@ class MujocoDrawer:
         shape.objid, shape.matid, shape.texcoord = 0, 0, 1
 
     def _look(self, eye: Eye, aspect: float) -> None:
-        """Set the camera, the lights that move with it, and the background plane, whose middle half is in view."""
+        """Set the camera, the lights that move with it, and the background plane, whose middle half is visible.
+
+        ``aspect`` is the width of the picture over its height.
+        """
         right, up, ahead = eye.axes()
         axes, slope = np.array([right, up, -ahead]), np.tan(np.radians(eye.angle_deg) / 2)
         for camera in self.scene.camera:
@@ -180,7 +186,11 @@ def _still_triangles(still: tuple[Mesh, ...]) -> Mesh:
 
 
 def _model(side: int, width: int, height: int, faces: int) -> str:
-    """Return the MJCF text of a model whose textures and soft body have room for a number of faces."""
+    """Return the MJCF text of a model whose textures and soft body have room for ``faces`` triangles.
+
+    ``side`` is the width and height of the texture with the faces' colours, px; ``width`` and ``height`` are those of
+    pictures, px.
+    """
     count = faces // 8 + 1
     return f"""<mujoco>
         <visual><global offwidth="{width}" offheight="{height}"/><quality numslices="16" numstacks="8"/></visual>

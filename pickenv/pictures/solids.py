@@ -16,7 +16,7 @@ from pickenv.pictures.stage import Mesh, Rgb, rgba
 
 
 def mesh_triangles(surface: Mesh) -> Mesh:
-    """Return a mesh with normals at its corners: the area-weighted mean normal of the triangles that share a corner."""
+    """Return the mesh with a normal at each corner: the area-weighted mean normal of the triangles that share it."""
     a, b, c = (surface.corners[surface.triangles[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
     normals = np.zeros_like(surface.corners, dtype=float)
@@ -39,7 +39,7 @@ def all_triangles(parts: Sequence[Mesh]) -> Mesh:
 
 
 def ring_around(axis: Array, count: int) -> Array:
-    """Return unit vectors ``(count, 3)`` perpendicular to a unit vector ``(3,)``, at equal angles around it."""
+    """Return unit vectors ``(count, 3)`` perpendicular to the unit vector ``axis (3,)``, at equal angles around it."""
     x = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
     x = x / np.linalg.norm(x)
     turn = 2.0 * np.pi * np.arange(count)[:, None] / count
@@ -111,5 +111,8 @@ def leaf_mesh(places: Array, length: float, width: float, colour: ArrayLike, rng
 
 
 def _fans(count: int) -> NDArray[np.intp]:
-    """Return the corner indices of two triangles for each of ``count`` quadrilaterals, whose corners are successive."""
+    """Return the corner indices of two triangles for each of ``count`` quadrilaterals ``(2 count, 3)``.
+
+    Quadrilateral i (from 0) has the corners 4 i to 4 i + 3.
+    """
     return (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)

@@ -29,7 +29,7 @@ class Rods:
 
     Attributes:
         start: Centres of the first ends ``(N, 3)``, m.
-        end: Centres of the other ends ``(N, 3)``, m.
+        end: Centres of the second ends ``(N, 3)``, m.
         radius: Radius of each rod ``(N,)``, m.
         colour: Red, green, blue and opacity ``(N, 4)``, 0 to 255.
     """
@@ -51,7 +51,7 @@ class Mesh:
 
     Attributes:
         corners: Positions of the corners ``(V, 3)``, m.
-        triangles: Indices of each triangle's corners ``(T, 3)``.
+        triangles: Indices (from 0) of each triangle's three entries in `corners` ``(T, 3)``.
         colour: Red, green, blue and opacity of each corner ``(V, 4)``, 0 to 255.
         normals: Normal at each corner ``(V, 3)``; empty ``(0, 3)`` until normals are computed.
     """
@@ -68,7 +68,8 @@ class Words:
 
     Attributes:
         text: The words.
-        place: One of `CORNERS`, in which lines are below one another, or a point ``(3,)`` in the world frame, m.
+        place: Where the text stands: one of `CORNERS` of the picture, or a point ``(3,)`` in the world frame, m.
+            Several lines in one corner are set below one another.
         colour: Colour of the text; None for the `ink` of the background.
         large: Whether the text is large, as for the subject of a picture.
     """
@@ -102,7 +103,7 @@ class Eye:
 
     Attributes:
         position: Position of the camera ``(3,)``, m.
-        target: Point that it looks at ``(3,)``, m.
+        target: Point that the camera looks at ``(3,)``, m.
         angle_deg: Vertical angle of view, degrees.
     """
 
@@ -134,13 +135,19 @@ class Eye:
         return np.stack([width / 2 + scale * right, height / 2 - scale * up, depth], axis=-1)
 
     def point_at(self, pixel: tuple[float, float], depth: float, size: tuple[int, int]) -> Array:
-        """Return the point ``(3,)``, m, at a given depth, m, that appears at a given column and row, px."""
+        """Return the point ``(3,)``, m, that appears at a pixel of a picture.
+
+        Args:
+            pixel: Column and row, px, from the upper left corner.
+            depth: Distance of the point from the camera along the direction in which the camera looks, m.
+            size: Width and height of the picture, px.
+        """
         scale = self.pixels_per_metre(depth, size)
         away = np.array([(pixel[0] - size[0] / 2) / scale, (size[1] / 2 - pixel[1]) / scale, depth])
         return np.asarray(self.position + away @ self.axes())
 
     def pixels_per_metre(self, depth: ArrayLike, size: tuple[int, int]) -> Array:
-        """Compute the scale of the picture, px per m, at depths ``(...)``, m."""
+        """Compute the scale, px per m, at depths ``(...)``, m, of a picture with width and height ``size``, px."""
         focal_length = size[1] / 2 / np.tan(np.radians(self.angle_deg) / 2)
         return np.asarray(focal_length / np.maximum(np.asarray(depth), 1e-3))
 
@@ -150,7 +157,7 @@ def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg
 
     Args:
         points: The points ``(N, 3)``, m.
-        direction: Direction ``(3,)`` to the viewpoint from the middle of the points, at which the viewpoint looks.
+        direction: Direction ``(3,)`` from the middle of the points to the viewpoint, which looks at this middle.
         size: Width and height of the picture, px.
         angle_deg: Vertical angle of view, degrees.
     """
@@ -163,7 +170,7 @@ def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg
 
 
 def seen_along(axis: Array, offset: Array, ahead: Array) -> Array:
-    """Return the components ``(2,)`` of an offset across the tool's axis: to the right, and away from the camera.
+    """Return the components ``(2,)`` of an offset across the tool's axis: to a camera's right, and away from it.
 
     Args:
         axis: Direction of the tool ``(3,)``.

@@ -47,7 +47,10 @@ def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: A
 
 
 def sprig(place: Array, diameter: float) -> Solids:
-    """Return the solids of a few leaves and a piece of branch above a single fruit at ``place (3,)``, m."""
+    """Return the solids of a few leaves and a piece of branch above a single fruit.
+
+    The fruit's centre is ``place (3,)``, m, world frame, and ``diameter`` is in m.
+    """
     top = place + np.array([0.012, 0.0, 0.9 * diameter / 2 + TWIG])
     ends = top + np.array([[-0.16, -0.05, -0.01], [0.14, 0.04, 0.03]])
     branch = Rods(ends[:1], ends[1:], np.array([0.009]), rgba(BARK, 1))
@@ -92,7 +95,10 @@ def _branch(start: ArrayLike, end: ArrayLike, radius: float) -> Mesh:
 
 @lru_cache(maxsize=8)
 def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
-    """Return the mesh of level ground around the point x, y at a height, m. Equal arguments give the same object."""
+    """Return the mesh of level ground around the point ``x``, ``y``, m, at a ``height``, m, in the world frame.
+
+    ``dark`` says whether the background is dark. Equal arguments give the same object.
+    """
     return chequered((x - SPREAD / 2, y - SPREAD / 2), (x + SPREAD / 2, y + SPREAD / 2), height, SQUARE, GROUND[dark])
 
 
