@@ -41,7 +41,7 @@ from pickenv.orchard import misalignment
 from pickenv.wrappers import CompensationWrapper
 
 OTHER = "orchard"
-"""Simulated arm with every effect, on which the demonstration shows how the same calibration changes picks."""
+"""Preset of a simulated arm with every effect, on which the demonstration shows how least squares changes picks."""
 
 PLANT, POSES = "qiao2026", {"identification": 100, "network": 200, "test": 100}
 """The simulated arm, and the numbers of poses by their purpose, as in the paper."""
@@ -63,8 +63,8 @@ class DemoSettings:
         reaches: Number of fruit to reach for.
         epochs: Training epochs of the network.
         grid_step: Cell size of the error field, m.
-        gain_poses: Number of poses on a grid, of which contiguous parts are held out to judge a network's gain; 0 skips
-            this.
+        gain_poses: Number of poses on a grid, of which contiguous parts are held out to judge a network's gain; with 0
+            the gain is not judged.
         network: Whether a network learns the residuals of least squares, which needs torch.
     """
 
@@ -99,15 +99,15 @@ class DemoResult:
     Attributes:
         settings: The settings of the run.
         plant: The plant, that is the simulated true arm with its errors.
-        calibrated: The calibration, and its errors at the test poses.
+        calibrated: The calibration, and the errors that it leaves at the test poses.
         sets: Measurements by purpose: "identification" for least squares, "network" for its training, "test" held out.
-        test_errors: For each policy, the difference of the tool's true pose from the wanted pose at the N test poses
-            ``(N, 6)``, m and rad.
-        reaches: For each policy, how the reaches ended.
+        test_errors: For each policy ("raw", "ls" and so on), the tool's true pose minus the wanted pose at the N test
+            poses ``(N, 6)``, m and rad.
+        reaches: For each policy, the final states of its reaches.
         comparison: Reaches and error field, for recording and figures.
-        gains: Share of the error that a network removes on held-out contiguous rows, for arms drawn from this plant,
-            and from the plant `field`.
-        cases: For this plant and for the plant `OTHER`, how calibration changes picks.
+        gains: Share of the error that a network removes on held-out contiguous rows, for arms drawn from `plant`, and
+            for arms drawn from the preset "field".
+        cases: For `plant` and for the preset `OTHER`, by name, how calibration changes picks.
     """
 
     settings: DemoSettings
@@ -160,7 +160,10 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
 
 
 def _reaches(settings: DemoSettings, compensators: Compensators, report: Progress) -> dict[str, Reaches]:
-    """Run the same reaches with every policy, and return their final states by policy."""
+    """Run the same reaches with every policy, and return their final states by policy.
+
+    ``report`` is called with (stage, reaches done, total).
+    """
     reaches, seeds, (radius, angle) = {}, episode_seeds(settings.seed, settings.reaches), TOLERANCES
     total = len(compensators) * len(seeds)
     for number, (key, compensator) in enumerate(compensators.items()):
@@ -175,13 +178,19 @@ def _reaches(settings: DemoSettings, compensators: Compensators, report: Progres
 
 
 def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Array:
-    """Return the true minus the nominal poses ``(N, 6)``, m and rad, when the drives get the compensated joints."""
+    """Return the true tool poses minus the nominal ones at ``joints (N, n)``: ``(N, 6)``, m and rad.
+
+    The true arm's drives get the joints as ``compensator`` corrects them, or unchanged if it is None.
+    """
     command = joints if compensator is None else compensator(joints)
     return pose_error(forward(plant.arm.nominal, joints), plant.tool_pose(command))
 
 
 def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[Change]:
-    """Return how least squares changes picks on the plant `OTHER`, over a field of upright tool poses at rest."""
+    """Return how a calibration by least squares changes picks on the simulated arm `OTHER`.
+
+    The picks are at upright tool poses on a regular grid, with the arm at rest.
+    """
     plant = load_plant(OTHER)
     nominal = plant.arm.nominal
     (poses,) = random_sets(plant, (POSES["identification"],), rng)
@@ -199,7 +208,10 @@ def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[Change
 def _comparison(
     settings: DemoSettings, plant: Plant, result: Result, compensators: Compensators, reaches: dict[str, Reaches]
 ) -> Comparison:
-    """Return a comparison for pictures: the error field on a regular grid of upright tool poses, and the reaches."""
+    """Return what pictures and recording show: the error field on a regular grid of upright tool poses, and reaches.
+
+    ``result`` is the calibration's result; ``compensators`` and ``reaches`` have one entry per policy.
+    """
     grid = field_grid(plant.arm.nominal, settings.grid_step, settings.seed)
     return Comparison(
         policies=tuple(
@@ -298,7 +310,10 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
 
 
 def _shown(comparison: Comparison, trace: CalibrationTrace, run: Run, report: Progress) -> list[Path]:
-    """Write figures, recording and page, and return their paths."""
+    """Write figures, recording and page into the folder of ``run``, and return their paths.
+
+    ``report`` is called with (stage, done, total).
+    """
     from pickenv.inspect import comparison_drawings, record_comparison, trace_drawings, write_drawings
     from pickenv.inspect.reports.demo_report import page
 
