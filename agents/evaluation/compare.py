@@ -271,7 +271,7 @@ def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
 def _field(contender: Contender, env_id: str, arguments: Arguments, grid: FieldGrid, seed: int, number: int) -> Array:
     """Return a policy's final pose errors ``(F, 6)``, m and rad, at the F goals of a grid.
 
-    The policy's own random draws depend on ``seed`` and on its index ``number`` (from 0) in the comparison.
+    The policy's own random draws depend on ``seed`` and on ``number``, the policy's index (from 0) in the comparison.
     """
     steps = gym.spec(env_id).max_episode_steps or 60
     envs: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(

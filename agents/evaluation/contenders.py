@@ -108,7 +108,7 @@ def load_any(name: str, arm: Arm | None = None) -> LearnedPolicy | RememberingPo
 def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw") -> PolicyMaker:
     """Return a function ``(env, seed)`` that makes a policy for an environment.
 
-    Its attribute ``envs`` makes the environments in which `roll_out` evaluates the policy.
+    The function's attribute ``envs`` makes the environments in which `roll_out` evaluates the policy.
 
     Args:
         name: Name of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).

@@ -145,8 +145,8 @@ def run_reaches(
 
 
 MOST_ROWS = 2048
-"""Largest number of environments whose joints a compensator gets in one call, as
-`pickenv.envs.reaching.batch.BLOCK`."""
+"""Largest number of environments whose joints a compensator gets in one call, as many as in
+`pickenv.envs.shared.arm_batch.NumpyArms.block`."""
 
 PolicyMaker = Callable[[Any, int], Policy]
 """Function ``(env, seed)`` that makes a policy for an environment."""

@@ -38,7 +38,7 @@ class ScriptedReach(policy.ReachController):
         return self.action(self._wanted - reading.joints)
 
     def wanted_pose(self, reading: policy.ObservationParts) -> Pose:
-        """Return the target pose of the tool, which ``reading`` has: measured fruit position and wanted attitude."""
+        """Return the pose that the tool is to reach: the measured fruit position with the wanted attitude."""
         return Pose(reading.seen, policy.attitude_after(forward(self.geometry, reading.joints), reading.turn))
 
     def wanted_joints(self, reading: policy.ObservationParts) -> Array:
@@ -359,7 +359,7 @@ HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
 
 OUT, BELOW, AT = range(3)
-"""Indices of the three waypoints to a fruit: below the fruit before, below this fruit, and at this fruit."""
+"""Indices of the three waypoints to a fruit: below the fruit tried last, below this fruit, and at this one."""
 
 
 class ScriptedPick(policy.ReachController):

@@ -176,7 +176,10 @@ def file_finding(path: Path) -> Finding:
 
 
 def _kind_of(path: Path) -> tuple[str, int | None]:
-    """Return the kind of a file, and the version of its format; archives (.npz) contain both."""
+    """Return the kind of a file, as `Finding` names it, and the version of its format or None.
+
+    Archives (.npz) contain both; the kind of any other file follows from its suffix.
+    """
     if path.suffix == ".parquet":
         return "chunk of a study", None
     if path.suffix == ".pt":

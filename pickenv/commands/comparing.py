@@ -112,7 +112,7 @@ def compare(
 
 
 BRIEF = (0, 1, 4, 6)
-"""Columns of the table of policies that are printed without `--details`: errors, attitude, and what was picked."""
+"""Indices (from 0) of the columns of the table of policies that are printed without `--details`."""
 
 
 def _print_comparison(episodes: pickenv.inspect.RecordedEpisodes, details: bool) -> None:

@@ -149,7 +149,7 @@ def verify(
         columns: Column description, by name or path; pickenv's own if left out.
         refit: Fit base, tool or base,tool again before judging, because the instrument or its target was moved. Both
             are always fitted again for a whole robot.
-        refit_rows: Number of new rows to fit base and tool from; the other rows judge. 6 if left out.
+        refit_rows: Number of new rows to fit base and tool from; all other rows judge. 6 if left out.
         json_file: Write the results to this file.
 
     Examples:

@@ -58,7 +58,7 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
 
     Args:
         run: Run folder, or a recording.
-        policy: Policy of an evaluation, whose recording is then made; its first if None.
+        policy: Policy of an evaluation, whose recording is then made; the evaluation's first if None.
 
     Raises:
         InputError: If there is no such run, or nothing in it that can be recorded.

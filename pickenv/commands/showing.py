@@ -271,8 +271,8 @@ def _print_result(text: str) -> None:
 
 
 FILES_OF_A_LINE = 4
-"""Largest number of files of one save that have a line each. If there are more, one line names the folder and the first
-of them."""
+"""Largest number of files written to one place that have a line each. If there are more, one line names the folder and
+the first of these files."""
 
 
 def _lines_of_files(place: Path, paths: Sequence[Path]) -> Iterator[str]:

@@ -31,7 +31,7 @@ FRUIT = 0.06
 def draw_reach(task: Task, scene: simulation.View, dark: bool) -> Stage:
     """Return the stage to draw for a reach task: the true arm, a ghost of the believed arm, and the fruit.
 
-    The viewpoint shows the arm's whole workspace and its base. The ground is drawn where the arm does not reach it.
+    The picture shows all that the arm can reach, and its base. The ground is drawn so low that the arm cannot reach it.
 
     Args:
         task: The task.

@@ -111,7 +111,7 @@ class TorchBatch(Batch):
         return np.asarray(values.cpu().numpy() if isinstance(values, Tensor) else values)
 
     def put(self, column: Tensor, where: Any, values: Scalar) -> None:
-        """Write ``values`` into a column, for the environments ``where``."""
+        """Write ``values`` into a column, for the environments ``where``, indices or a slice."""
         column[where] = values.to(column.dtype)
 
     def given(self, actions: ArrayLike | Tensor) -> Tensor:

@@ -125,7 +125,7 @@ class ArmBatch:
         return np.asarray(values)
 
     def put(self, column: Scalar, where: Any, values: Scalar) -> None:
-        """Write ``values`` into a column, for the environments ``where``."""
+        """Write ``values`` into a column, for the environments ``where``, indices or a slice."""
         column[where] = values
 
     def given(self, actions: ArrayLike) -> Scalar:
@@ -205,10 +205,10 @@ class ArmBatch:
         return list(self.numbers(commanded(compensate, joints, rows).T))
 
     def write(self, columns: Columns, where: Any, values: Scalars) -> None:
-        """Write ``values`` into columns, for the environments ``where``.
+        """Write ``values`` into columns, for the environments ``where``, indices or a slice.
 
-        The last column is written first. Delayed actions and readings move on by one column, and are so read before
-        they are overwritten.
+        The last column is written first. So a delayed action or reading moves on to later columns before the columns
+        that hold it are overwritten.
         """
         for column, new in zip(list(columns)[::-1], list(values)[::-1], strict=True):
             self.put(column, where, new)

@@ -211,7 +211,10 @@ def move(x: Executor, task: Task, target: Scalars, action: Scalars) -> Component
 
 
 def act(x: Executor, task: Task, state: ArmState, action: Scalars) -> ArmState:
-    """Return the state with its joint target moved by the action, or by an earlier action if actions are delayed."""
+    """Return the state with its joint target moved by the action, or by an earlier action if actions are delayed.
+
+    `move` explains actions that move joints, and `joint_shares` actions that move the tool.
+    """
     setting, values = task.situation, state.drawn
     action, sent = situation.late(x, setting, "delay", values, state.sent, action)
     if task.tool:
@@ -426,7 +429,7 @@ def goal_gap(m: ModuleType, achieved: Scalars, desired: Scalars) -> tuple[Scalar
 
 
 def _frame(goal: Scalars) -> Frame:
-    """Return the frame of a goal."""
+    """Return the frame of a goal, whose 9 numbers are its position, z axis and x axis."""
     px, py, pz, zx, zy, zz, xx, xy, xz = goal
     return xx, xy, xz, zy * xz - zz * xy, zz * xx - zx * xz, zx * xy - zy * xx, zx, zy, zz, px, py, pz
 

@@ -95,7 +95,7 @@ class Situation:
         return len(self.drawn), int(self.delay.high) * joints, int(self.latency.high) * sensed
 
     def value(self, name: str, drawn: Components) -> Scalar:
-        """Return the number that the attribute ``name`` has in an episode; if it does not vary, this is its constant.
+        """Return the number that the attribute ``name`` has in an episode: drawn if it varies, else its constant.
 
         ``drawn`` has the numbers that were drawn for the episode, in the order of the attribute `drawn`.
         """

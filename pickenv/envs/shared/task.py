@@ -245,7 +245,10 @@ class Task:
 
     @cached_property
     def reach(self) -> float:
-        """Upper bound of the tool's distance from the base frame's origin, m: sum of all lengths, plus 1 m for errors and noise."""
+        """Upper bound of the tool's distance from the base frame's origin, m.
+
+        It is the sum of all lengths of the nominal arm, plus 1 m for errors and noise.
+        """
         g = self.plant.arm.nominal
         slides = np.array(g.prismatic) * np.maximum(np.abs(g.lower), np.abs(g.upper))
         lengths = np.abs(g.a).sum() + np.abs(g.d).sum() + slides.sum()
