@@ -301,7 +301,7 @@ class ServoReach(ScriptedReach):
     """Reach policy that drives to the first measured fruit position and corrects its target by visual servoing.
 
     The pseudoinverse of the nominal Jacobian, truncated to the task's rank, maps the camera's corrections to joints.
-    The Jacobian is that of the nominal solution, near which the arm arrives.
+    The Jacobian is computed once, at the joints that the nominal inverse kinematics gives for the fruit.
 
     Attributes:
         gain: Weight of the newest measurement in the filtered correction, above 0 and at most 1.

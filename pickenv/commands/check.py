@@ -146,7 +146,10 @@ def _faults(what: str, faults: Iterable[tuple[Path, str | None]]) -> list[Findin
 
 
 def listed_findings(folder: Path) -> list[Finding]:
-    """Check the record of a run, or the list of a folder's files, then all files named there or lying in the folder."""
+    """Check the record of a run, or the list of a folder's files, and then the files.
+
+    Files in the folder that the record or list does not name are checked too.
+    """
     from pickenv.inspect.runs.run_folder import FORMAT, LIST, RECORD, faults_of, faults_of_list
 
     is_run = (folder / RECORD).exists()

@@ -71,7 +71,7 @@ def row_of_trees(
 
     Args:
         low: Lowest corner of the box (3,), m, world frame.
-        high: Highest corner (3,), m.
+        high: Highest corner of the box (3,), m, world frame.
         leaf_area_per_volume: Area of leaves per volume of the box, m^2/m^3.
         ground: Height of the ground, from which trunks start, m.
     """

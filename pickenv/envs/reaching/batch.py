@@ -21,7 +21,9 @@ from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensators, Task
 
 
 class Views(NamedTuple):
-    """All that is measured and true in many environments at one moment: a `simulation.View` of each as one column.
+    """All that is measured and true in many environments at one moment, with one column per environment.
+
+    `simulation.View` has the same for a single environment.
 
     Attributes:
         observation: Parts of the observation, each an array ``(k, count)`` of float32.

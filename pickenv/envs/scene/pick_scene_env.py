@@ -34,7 +34,7 @@ WITHOUT_USE = ("reward", "tolerance_mm", "angle_tolerance_deg", "end_on_success"
 
 USUAL_PLANT = "ideal:ur5e"
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
-"""Default of `control_period_s`, s, the cost of each step, and the reward for detaching a fruit from its stem."""
+"""Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
 """Number of steps for which a detached fruit must be held to count as picked, and smallest reach of arms for which

@@ -101,7 +101,7 @@ class ArmBatch:
 
     @property
     def fixed(self) -> int:
-        """Number of the first columns, which hold the joint target and the numbers that are constant in an episode."""
+        """Count of the columns at the front: the joint target, and the numbers that are constant in an episode."""
         return sum(self._widths[:4])
 
     def numbers(self, values: Array) -> Scalar:
