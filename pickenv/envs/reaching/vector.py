@@ -143,7 +143,7 @@ class ReachVectorEnv(NativeVectorEnv):
     def _asked(self, options: dict[str, Any], rows: Rows) -> dict[str, Any]:
         """Return the starts, goals and arms that ``options`` ask for, as keyword arguments of `Batch.restart`.
 
-        They are for the environments with the indices ``rows``.
+        Each has one entry per environment in ``rows``, which has indices from 0.
         """
         joints, frames = given_goals(self.task, options, self.num_envs)
         goals = {"goal": joints, "frames": frames}
