@@ -33,7 +33,7 @@ NO_INTERVAL = f"fewer than {LEAST} episodes, so no intervals of means"
 def episode_misses(policy: RecordedPolicy) -> Array:
     """Return the mean miss of each episode ``(E,)``, mm.
 
-    A miss is the distance from tool to fruit when the gripper closed. The mean is nan if it never closed.
+    A miss is the distance from tool to fruit when the gripper closed. The mean is nan if the gripper never closed.
     """
     closed = np.isfinite(policy.miss_mm)
     with np.errstate(invalid="ignore"):
@@ -78,7 +78,8 @@ def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
 def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
     """Return the differences over the same fruit for all pairs of policies.
 
-    A difference is the second policy of the pair minus the first, in the order of ``episodes.policies``.
+    A difference is the later policy of the pair minus the earlier, in the order of ``episodes.policies``. In each
+    dictionary, "from" is the label of the earlier policy, and "to" that of the later one.
     """
     return [_difference(before, after) for before, after in combinations(episodes.policies, 2)]
 
@@ -207,7 +208,7 @@ def _picking(episodes: RecordedEpisodes) -> str:
 
 
 def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """Return the change in picks if the best policy replaces its rival, for each gripper and perception error.
+    """Return the change in picks if the best policy replaces a rival, for each gripper and perception error.
 
     The best policy has the least mean miss. The rival is the first other policy in the list that closed the gripper for
     some of the same fruit; without a rival the result is empty. Only the part of a miss across the tool's axis counts.
@@ -225,7 +226,7 @@ def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[Change]:
 
 
 def _across(policy: RecordedPolicy) -> Array:
-    """Return the part of each miss across the tool's axis, mm; the whole miss if the tool's attitude is unknown."""
+    """Return the part of each episode's miss across the tool's axis, mm; the whole miss if the attitude is unknown."""
     axis, across = policy.tool_rotation[..., 2], policy.miss_mm.copy()
     comparable = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
     apart = (policy.fruit_position - policy.tool_position)[comparable]
@@ -273,7 +274,7 @@ def _mean(values: Array) -> float | None:
 
 
 def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[float] | None:
-    """Return an interval as a list for JSON, with its ends raised to ``least``, the smallest possible value."""
+    """Return an interval as a list for JSON; ends below ``least``, the smallest possible value, are raised to it."""
     return None if ends is None else [max(end, least) for end in ends]
 
 
@@ -309,7 +310,7 @@ def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int6
     """Return the grid cells that hold points ``(C, 3)``, sorted, and the mean of the values in each cell ``(C,)``.
 
     Args:
-        index: Index of the cell of each point ``(F, 3)``.
+        index: Indices, from 0 along x, y and z, of the cell of each point ``(F, 3)``.
         values: Value at each point ``(F,)``.
     """
     cells, cell = np.unique(index, axis=0, return_inverse=True)
@@ -323,7 +324,7 @@ def colour_scale_mm(comparison: Comparison) -> float:
 
 
 def uncertainty_scale_mm(comparison: Comparison) -> float:
-    """Return the upper end of the colour scale for predicted uncertainty and the last policy's error field, mm."""
+    """Return the upper end, mm, of the colour scale that predicted uncertainty and last policy's error field share."""
     assert comparison.field_uncertainty is not None
     lengths = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
     return scale_end(lengths)
@@ -356,7 +357,7 @@ def ticks(top: float) -> list[float]:
 
 
 def summary_markdown(comparison: Comparison) -> str:
-    """Return the summary as a Markdown table, with a short legend of what is drawn at which scale."""
+    """Return errors of each policy as a Markdown table, with a short legend of what is drawn at which scale."""
     top, has_reaches = colour_scale_mm(comparison), len(comparison.fruit) > 0
     heads = ["field mean", "field RMS", "field p95", "field max"]
     if has_reaches:
@@ -388,7 +389,7 @@ def summary_markdown(comparison: Comparison) -> str:
 
 
 def _better(comparison: Comparison) -> str:
-    """Return a sentence on the share of field points where the last policy beats the one before, or an empty text."""
+    """Return a sentence on the share of field points where the last policy errs less than the last but one."""
     if len(comparison.policies) < 2:
         return ""
     before, last = comparison.policies[-2:]
