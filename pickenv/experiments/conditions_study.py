@@ -112,7 +112,7 @@ class State:
 def warming(plant: Plant) -> Plant:
     """Return a plant (the true arm with its errors) that has thermal growth.
 
-    A plant that has none gets the thermal growth of the tolerance class "medium".
+    A plant without thermal growth gets that of the tolerance class "medium"; any other plant is returned unchanged.
     """
     if plant.effect("thermal_growth") is not None:
         return plant
@@ -286,7 +286,8 @@ def judged_arm(
     Args:
         rng: Not used; every arm has a random stream from the study's seed and the arm's index.
         arm: Index of the arm among the drawn ones, from 0.
-        plants: The drawn true arms; with ``calibration``, the one true arm that it belongs to.
+        plants: The drawn true arms, as one plant with arrays over arms; with ``calibration``, the true arm that the
+            calibration belongs to.
         settings: Settings of the study.
         calibration: If given, only this calibration and the raw arm are judged.
     """

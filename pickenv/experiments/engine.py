@@ -142,7 +142,7 @@ class Rows:
 def joined(parts: Sequence[Rows]) -> Rows:
     """Concatenate tables of rows; NaN, or empty text, fills the rows of a part that lacks a column.
 
-    If the arrays of a column are shorter in one part than in another, they are filled up in the same way.
+    If a column holds arrays that are shorter in one part than in another, the shorter arrays are filled up likewise.
     """
     filled = [part for part in parts if len(part)]
     names = dict.fromkeys(name for part in filled for name in part.columns)
@@ -180,7 +180,7 @@ class Experiment:
             `functools.partial` of one.
         seed: Seed of all random numbers.
         inputs: Everything that the rows depend on besides levels, seed and code: settings, plants, hashes of files. Or
-            a function that returns it, called with the levels by name.
+            a function that returns all this as a tuple, called with the levels by name.
         fits: Function that returns whether a combination is measured, called with one level of each unit and factor by
             name. None: all combinations are measured.
     """
@@ -234,7 +234,7 @@ def input_key(*inputs: Any) -> str:
 def _file_name(name: str, levels: Levels, key: str) -> str:
     """Return the name of the file that stores one piece of the experiment ``name``.
 
-    A piece has one of the ``levels`` of each unit and factor, and its hash ``key`` is that of `Experiment.key`.
+    The piece has these ``levels`` of its units and factors, by name, and the hash ``key`` from `Experiment.key`.
     """
     label = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(map(str, levels.values()))).strip("-")[-80:]
     return f"{name}_{label}_{key[:16]}.parquet"
@@ -382,7 +382,7 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
 def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
     """Write the record of a folder (`RECORD`), which lists the files of pieces, each with the key of its piece.
 
-    It lists ``pieces`` (keys by file name), and those pieces of earlier runs whose files are still in the folder.
+    The record lists ``pieces`` (keys by file name), and those pieces of earlier runs whose files are in the folder.
     """
     path, before = folder / RECORD, dict[str, str]()
     try:

@@ -105,7 +105,7 @@ class Number:
             printed beside the mean.
         draws: Unit whose level 0 is the design with its shipped constants, and whose other levels are draws of these
             constants (`pickenv.arm.plant.plant_file.with_drawn_constants`). The interval of a number then contains the
-            number of one further draw with probability 95 %. It needs `LEAST_DRAWS` draws.
+            number of one further draw with probability 95 %. At least `LEAST_DRAWS` draws are needed.
         spread: Whether the standard deviation and the range of the units' means are shown beside each number. The
             option needs a single column ``value``, no ``across``, and a statistic other than "removed".
         digits: Digits after the point.
@@ -163,7 +163,7 @@ class ExperimentFile:
         path: The file.
         title: The question that the experiment asks.
         experiment: The experiment.
-        numbers: The tables of numbers to estimate from its rows.
+        numbers: The tables of numbers to estimate from the experiment's rows.
         functions: The functions that the file names, by the text that names them ("file.py:function").
         figures: The functions that draw the rows, by the names of their figures.
     """
@@ -179,8 +179,8 @@ class ExperimentFile:
         """Estimate the tables of numbers from the experiment's rows.
 
         Returns:
-            For each of ``numbers`` a dict with "title" and "rows". Each row has its levels and "estimate", and the
-            other keys that `pickenv.base.intervals.estimate` gives.
+            For each of ``numbers`` a dict with "title" and "rows". Each of these rows is a dict of levels by name,
+            "estimate", and the further keys that `pickenv.base.intervals.estimate` gives.
 
         Raises:
             InputError: If a table names a column that the rows lack, or a comparison needs pairs of rows that do not

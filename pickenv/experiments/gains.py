@@ -55,11 +55,13 @@ def left_by_models(
         train: Rows that every model is fitted to.
         test: Held-out rows.
         rng: Random numbers for the learnt models.
-        terms: Parametric terms of each least-squares fit, by the name of the fit; values as for `Choices`.
-        learnt: Residual model that each learnt model adds to least squares, by the name of the learnt model.
+        terms: Parametric terms of each least-squares fit, such as "auto", by the name of the fit; values as for
+            `Choices`.
+        learnt: Residual model ("bpnn", "gp" and so on) that each learnt model adds to least squares, by the model's
+            name.
         epochs: Training epochs of the network of Qiao 2026; None trains the default network of `fit_remainder`.
         attitudes: Whether attitude residuals are learnt too.
-        choices: Further fields of `Choices`.
+        choices: Further fields of `Choices`, the settings of a calibration.
 
     Returns:
         Squared position errors of the held-out rows, m^2, by model; and the result of the fit with the last entry of

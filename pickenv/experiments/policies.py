@@ -200,13 +200,13 @@ def run_policies(
             so on by name.
 
     Returns:
-        For reaching, one row per episode. It has plant, compensation, feedback, policy, seed, and training (the index
-        of the training, from 0). ``learned`` says whether the policy was learned. ``arm`` is the index of the arm,
-        which differs between seeds, and ``episode`` the index of the episode with this arm. ``error_mm`` and
-        ``attitude_deg`` are the errors at the end. ``way_mm`` is the position error after each step (NaN after the end
-        of the episode). ``cycle_steps`` is the number of steps until the tool stays within `CYCLE_MM` of the fruit (NaN
-        if it never does). ``chance_NAME`` is the probability that gripper NAME takes the fruit. The fields of
-        `pickenv.agents.Reaches` are columns, too.
+        For reaching, one row per episode. A row has plant, compensation, feedback, policy, seed, and training (the
+        index of the training, from 0). ``learned`` says whether the policy was learned. ``arm`` is the index of the arm
+        among those of all seeds, and ``episode`` that of the episode with this arm, both from 0. ``error_mm`` and
+        ``attitude_deg`` are the errors at the end. ``way_mm`` is an array, the position error after each step (NaN
+        after the end of the episode). ``cycle_steps`` is the number of steps until the tool stays within `CYCLE_MM` of
+        the fruit (NaN if it never does). ``chance_NAME`` is the probability that gripper NAME takes the fruit. The
+        fields of `pickenv.agents.Reaches` are columns, too.
 
         For picking, one row per arm, gripper and training, over all canopies. ``attempted`` is the number of grasps,
         ``collected`` the number of fruit collected undamaged, and ``duration_s`` the time, s. Two columns are sums over
@@ -254,10 +254,10 @@ def _calibrated(settings: PolicySettings, kept: Path, *, plant: str, seed: int, 
 def _inputs(
     settings: PolicySettings, kinds: Mapping[str, Kind], *, plant: str, policy: str, seed: int, **levels: Any
 ) -> tuple[Any, ...]:
-    """Return the inputs, besides its levels, that the rows of one piece of the comparison depend on.
+    """Return everything that the rows of one piece depend on, except the piece's levels of units and factors.
 
-    The policies and seeds of other pieces are not among these inputs. ``kinds`` has the properties of each policy by
-    name. All arguments after ``kinds`` are the piece's levels of units and factors.
+    Other policies and seeds of the comparison are left out. ``kinds`` has the properties of each policy by name. All
+    arguments after ``kinds`` are the piece's levels.
     """
     learned = kinds[policy].files if policy in kinds else ()
     files = [path for name in learned for path in (Path(name), BASELINES / f"{name}.npz") if path.is_file()]
@@ -317,7 +317,7 @@ def _trainings(kinds: Mapping[str, Kind]) -> range:
 def _entrant(name: str) -> Kind:
     """Return the properties of the policy ``name`` as an entrant of the comparison.
 
-    If several kinds of feedback are possible, the policy is run once with each, and those that it refuses are left out.
+    If several kinds of feedback are possible, the policy is run once with each; refused kinds are left out.
     """
     kind, able, refusal = kind_of(name), [], ""
     if kind.picks:

@@ -495,7 +495,7 @@ def _worth_judging(compensation: str, feedback: str, **levels: Any) -> bool:
 def distance_within(cell: Rows, share: float) -> Estimate:
     """Estimate the distance from the fruit within which a share of the reaches end, mm.
 
-    The distance is computed for each arm and training, and averaged over them.
+    The distance is computed for each arm with each training, and averaged over arms and trainings.
 
     Args:
         cell: Episodes of one policy with one compensation, feedback and plant.

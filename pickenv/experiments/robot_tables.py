@@ -101,11 +101,12 @@ def agreement(gains: Gains) -> dict[str, Any]:
         gains: The gains, from `run_bench`.
 
     Returns:
-        A mapping for JSON. "sets" is the number of data sets, "gains" that of gains. "models" has one entry per model:
-        the number of data sets "robots", and distances from the measured gains in percentage points. "median_points"
-        and "worst_points" are those of the twins' predictions. "null_median_points" and "null_worst_points" are those
-        of the null prediction, None if there is only one robot. "learnt_on_blocks" is the number of gains of learnt
-        residuals. "sign_right" is the share of these gains whose sign the twins predict correctly.
+        A mapping for JSON. "sets" is the number of data sets, and "gains" the number of gains. "models" has one entry
+        per model: "robots", the number of data sets, and distances from the measured gains in percentage points.
+        "median_points" and "worst_points" are those of the twins' predictions. "null_median_points" and
+        "null_worst_points" are those of the null prediction, None if there is only one robot. "learnt_on_blocks" is the
+        number of gains of learnt residuals. "sign_right" is the share of these gains whose sign the twins predict
+        correctly.
     """
     blocks = [gain for gain in gains if gain["split"] != "random"]
     models = []

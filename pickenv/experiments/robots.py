@@ -139,9 +139,9 @@ def fold_errors(
 
     Returns:
         Columns with one entry per arm and held-out row. "drawn" is 0 for the measured arm, else the number of the drawn
-        arm, from 1. "at" is the index of the held-out row. Each model has a column of its squared errors, m^2. Three
-        columns have the same number everywhere: "refused" (drawn arms that could not be calibrated), "rows" (rows of
-        all folds) and "rows_in_file".
+        arm, from 1. "at" is the index of the held-out row, from 0. Each model has a column of its squared errors, m^2.
+        Three columns have the same number everywhere: "refused" (drawn arms that could not be calibrated), "rows" (rows
+        of all folds) and "rows_in_file".
     """
     name, split = GAINS[row]
     arm, rows, _ = SETS[name].load(data)
@@ -171,7 +171,7 @@ def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
 def folds_of(
     poses: RowNumbers, split: str, folds: int, rng: np.random.Generator
 ) -> list[tuple[RowNumbers, RowNumbers]]:
-    """Split rows into folds; return for each fold the indices of the rows to fit, and of the held-out rows.
+    """Split rows into folds; return for each fold the indices, from 0, of the rows to fit, and of the held-out rows.
 
     Args:
         poses: Index of the pose of each row ``(N,)``; rows of one pose stay in one fold.
@@ -189,14 +189,14 @@ def judged_fold(
 ) -> tuple[list[Squares], int]:
     """Calibrate the measured arm, and arms drawn from its twin, on the fitted rows; judge them on the held-out rows.
 
-    The twin is made from the fitted rows alone. Arms are drawn from the posterior of its geometry, parametric terms and
-    remaining errors, with the measured arm's own scatter. They are measured at the same joints with the instrument's
-    scatter. An arm at the posterior mean would make every model look too good.
+    The twin is made from the fitted rows alone. Arms are drawn from the posterior of the twin's geometry, parametric
+    terms and remaining errors, with the scatter of the measured arm. The drawn arms are measured at the same joints
+    with the instrument's scatter. An arm at the posterior mean would make every model look too good.
 
     Args:
         arm: The arm.
         data: The measured rows of the arm.
-        rows: Indices of the fitted rows, and indices of the held-out rows.
+        rows: Indices, from 0, of the fitted rows, and of the held-out rows.
         draws: Number of arms drawn from the twin.
         seed: Seed of all random numbers.
 
@@ -237,8 +237,8 @@ class SpreadRow:
         name: Name of the robot's data set in `SETS`.
         how: Held-out rows: "random" (of random splits), "blocks" (each contiguous part of the rows in turn), or "poses"
             (separate test poses).
-        terms: Parametric terms of the best model, with the values of `Choices`.
-        residual: Residual model of the best model, with the values of `Choices`.
+        terms: Parametric terms of the best model, "none" or as for `Choices`.
+        residual: Residual model of the best model, "none" or as for `Choices`.
         statistic: Statistic of the position errors: "rms" or "mean".
         remark: Remark beside the best model.
     """
@@ -441,8 +441,8 @@ def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
     """Compute the mean gain of drawn arms, and the 95 % prediction interval for the gain of one more drawn arm.
 
     Each fold has a twin of its own, from which arms are drawn independently. To first order in the squared errors, the
-    variance of the gain is therefore the sum, over folds, of the variance between the arms of a fold's twin. It has
-    folds * (draws - 1) degrees of freedom.
+    variance of the gain is therefore the sum, over folds, of the variance between the arms of a fold's twin. This
+    variance has folds * (draws - 1) degrees of freedom.
 
     Args:
         after: Sums of squared errors that the model leaves ``(folds, draws)``, m^2.

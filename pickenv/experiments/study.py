@@ -103,7 +103,7 @@ class Setting:
         noise_mm: Standard deviation of the tracker's positions, mm; 0 without calibration.
         noise_deg: Standard deviation of the tracker's attitudes, deg; 0 without calibration.
         payload_kg: Mass held at the tool while picking, kg; during calibration it is the plant's own payload.
-        method: One of `METHODS`.
+        method: Method of calibration: "raw" (none), "ls", or "ls+" and a residual model, as in `METHODS`.
     """
 
     number: int
@@ -116,7 +116,7 @@ class Setting:
     method: str
 
     def columns(self) -> dict[str, Any]:
-        """Return the columns that identify this setting, by name, with its value in each."""
+        """Return the columns that identify this setting in the rows of a study, as a dictionary from name to value."""
         return dict(zip(SETTING, astuple(self), strict=True))
 
     @property
@@ -149,8 +149,8 @@ class StudyConfig:
         share: An arm is within specification if it reaches at least this share of its fruit, from 0 to 1.
         tolerances: Tolerance classes, by name or path.
         it_grades: ISO 286-1 grades of the lengths, in place of the grade of each class; None keeps the class's grade.
-        methods: Methods of calibration, of `METHODS`.
-        poses: Numbers of calibration poses.
+        methods: Methods of calibration, each "raw" (none), "ls", or "ls+" and a residual model, as in `METHODS`.
+        poses: Numbers of calibration poses that are compared.
         noise: Standard deviations of the tracker's readings. They include the tracker's errors of range and of
             centring.
         instrument: Instrument that measures the arms: a name of `pickenv.arm.load_instrument`, or a path. It also gives
@@ -212,8 +212,8 @@ class StudyConfig:
         """Load the plant that arms are drawn from, that is the nominal arm with its effects.
 
         Raises:
-            InputError: If there is no such plant, its file has a refused value, or it has no link masses although a
-                payload is above 0.
+            InputError: If there is no such plant, its file has a refused value, or the plant has no link masses
+                although a payload is above 0.
         """
         plant = load_plant(self.plant)
         if plant.load is None and any(self.payload_kg):
@@ -297,8 +297,8 @@ class Circumstances:
         number: Number of the arm in its population, from 0.
         fruit: Joints with which the nominal arm reaches each of the M fruit ``(M, n)``, rad or m.
         poses: Joints of the calibration poses ``(P, n)``, rad or m, from a Halton sequence. P is the largest number of
-            poses of any setting; a setting with fewer uses the first ones.
-        tracker: Standard normal draws for the tracker's errors at these poses, and for the arm's friction.
+            poses of any setting; a setting with fewer poses uses the first of them.
+        tracker: Standard normal draws for the tracker's errors at the calibration poses, and for the arm's friction.
     """
 
     number: int
@@ -397,7 +397,7 @@ def prepared_study(config: StudyConfig) -> Protocol:
 
 
 def measured(protocol: Protocol, arm: Plant, setting: Setting, around: Circumstances) -> Measurements:
-    """Simulate the readings of the setting's tracker at the poses in ``around`` of the true arm ``arm``."""
+    """Simulate the setting's tracker, which reads the true arm ``arm`` at the calibration poses in ``around``."""
     instrument, poses = protocol.instrument(setting), setting.poses
     return tracked(arm, instrument, around.poses[:poses], around.tracker.first(poses))
 
@@ -408,7 +408,7 @@ def carrying(plant: Plant, payload_kg: float) -> Plant:
 
 
 def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Return joints ``(count, n)`` that cover their ranges uniformly, from a scrambled Halton sequence, rad or m."""
+    """Return joints ``(count, n)``, rad or m, that cover the joint ranges uniformly (a scrambled Halton sequence)."""
     if not count:
         return np.empty((0, nominal.joints))
     return np.asarray(qmc.scale(qmc.Halton(nominal.joints, rng=rng).random(count), nominal.lower, nominal.upper))

@@ -211,7 +211,7 @@ def identify_batch(
     Returns:
         The identified geometries, with link parameters ``(N, n)``; the number of least-squares iterations ``(N,)``; and
         whether the result of each arm is valid ``(N,)``. A result is invalid if the arm has other redundant parameters
-        than most arms, or if undamped steps do not suffice.
+        than most arms, or if undamped least-squares steps do not converge.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)
@@ -257,13 +257,12 @@ def identify_batch(
 
 
 def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the indices ``(K,)`` of the parameters that most arms can identify, and which arms have exactly these.
+    """Return the indices ``(K,)``, from 0, of the parameters that most arms can identify, and flags of arms ``(N,)``.
 
-    Indices count from 0. The second result is true for these arms ``(N,)``. An arm can identify a parameter by the rule
-    of `identifiability`.
+    A flag is true for an arm that can identify exactly these parameters, by the rule of `identifiability`.
 
     Args:
-        matrix: Stacked, scaled Jacobians ``(N, rows, P)``, with the parameters in order of preference.
+        matrix: Stacked, scaled Jacobians ``(N, rows, P)``, with the P parameters in order of preference.
     """
     rows, parameters = matrix.shape[1:]
     r = matrix if rows <= parameters else torch.linalg.qr(matrix, mode="r").R

@@ -251,7 +251,7 @@ LONGEST = 16
 
 
 def study_drawings(findings: Findings) -> Drawings:
-    """Return the figures of a study with captions; a figure that its rows do not allow has the reason instead."""
+    """Return the figures of a study with captions; a figure that the study's rows do not allow has the reason."""
     rows, specification = findings.yields, specified(findings.protocol.config)
     has_results = any(row["failed"] < row["arms"] for row in rows)
     drawings: list[Drawing] = []
@@ -388,7 +388,7 @@ def _judged(quantiles: Sequence[Row]) -> list[Row]:
 
 
 def _arms(rows: Sequence[Row]) -> str:
-    """Return words for the largest number of arms in a row; a number below `FEW` is called a trial run."""
+    """Return words for the largest number of arms in any of ``rows``; fewer than `FEW` are called a trial run."""
     arms = max((int(row["arms"]) for row in rows), default=0)
     return f"{arms} arms" + f" (a trial run: fewer than {FEW})" * (arms < FEW)
 

@@ -63,7 +63,7 @@ def run_study(
     Args:
         config: The study.
         folder: Folder for results. Chunks that are there are kept; damaged chunks are computed again, with a warning.
-        executor: A name of `EXECUTORS`: "serial", "joblib" or "batched".
+        executor: "serial" (one process), "joblib" (several processes), or "batched" (many arms at once, in torch).
         workers: Number of processes; None for one per core, or for a single one with "batched".
         device: Device of "batched": "cpu" or "cuda".
         progress: Called with (arms done, total number of arms).

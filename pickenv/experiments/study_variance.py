@@ -107,8 +107,8 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
     """Compute the shares of arms, fruit, poses and tracker in the variance of the arms' logarithmic errors.
 
     Args:
-        protocol: The study. The number of arms computed is that of the study, at most `MOST_ARMS`. Each arm is judged
-            once per cause, and twice more.
+        protocol: The study. As many arms are computed as the study has, at most `MOST_ARMS`. Each arm is judged once
+            per cause, and twice more.
         setting: A setting of the study with the method raw or least squares.
 
     Returns:
@@ -452,10 +452,10 @@ def _explained(slopes: Array, covariance: Array, group: Sequence[int]) -> Array:
 def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:
     """Return the 95 % interval of a share, less the part of the share that is due to chance.
 
-    The root of a share is a length in the space of slopes, with the same standard error everywhere. The share over that
-    error squared is therefore noncentral chi-square, as if with ``chance / error**2`` degrees of freedom. The interval
-    contains all noncentralities that are plausible for this share. It begins at zero if zero is plausible, and is
-    extended to an estimate below zero.
+    The square root of a share is a length in the space of slopes, and its standard error is the same everywhere. The
+    share divided by the square of this error is therefore noncentral chi-square, as if with ``chance / error**2``
+    degrees of freedom. The interval contains all noncentralities that are plausible for this share. It begins at zero
+    if zero is plausible, and is extended to an estimate below zero.
 
     Args:
         share: The share, including what chance adds.
