@@ -47,7 +47,7 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
 
 
 def difference_map(comparison: Comparison) -> Figure:
-    """Draw a map of the workspace, coloured by the miss of the last policy minus that of the first, mm.
+    """Draw a map of the workspace, coloured by the position error of the last policy minus that of the first, mm.
 
     Each panel shows one layer of the workspace from above, with differences averaged over the height of the layer.
     """

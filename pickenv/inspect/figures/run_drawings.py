@@ -61,7 +61,7 @@ def write_drawings(
         drawings: The figures.
         folder: The folder.
         formats: Suffixes of the files, such as "svg", without a dot.
-        progress: Function that is called with the stage's name, the number of figures done, and the number of all
+        progress: Function that is called with the name of the work, the number of figures done, and the number of all
             figures.
 
     Raises:

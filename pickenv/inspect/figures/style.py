@@ -205,7 +205,7 @@ def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
 def spaced(labels: Sequence[str], least: float, room: float) -> list[str]:
     """Return labels for equally spaced marks on an axis, with empty text in place of labels that do not fit.
 
-    Either all labels stay, or every second, every third and so on.
+    Depending on the room, all labels stay, or every second label, or every third label, and so on.
 
     Args:
         labels: One label for each mark.

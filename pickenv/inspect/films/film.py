@@ -391,10 +391,10 @@ def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
 
 
 def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
-    """Return positions of the tool relative to the fruit ``(K, 2)``, mm, at each closing of a policy's gripper so far.
+    """Return where the tool was relative to the fruit each time that a policy's gripper closed ``(K, 2)``, mm.
 
-    The last closing counted is that before or at moment ``now`` of ``episode``. ``side`` is the index of the policy in
-    the film. The components are those of `seen_along`, which views the fruit along the tool's axis.
+    The closings of all episodes of the film up to moment ``now`` of ``episode`` count. ``side`` is the index of the
+    policy in the film. The components are those of `seen_along`, which views the fruit along the tool's axis.
     """
     policy, attempts = film.policies[side], film.attempts[side]
     closed = [(e, close) for e in range(episode) for _, close, *_ in attempts[e]]
@@ -424,7 +424,7 @@ def film(
         seconds: Length of the film, s.
         frames_per_second: Frames per second.
         dark: Whether the background is dark.
-        progress: Function that is called with the stage's name, the number of frames done, and the number of all
+        progress: Function that is called with the name of the work, the number of frames done, and the number of all
             frames.
 
     Returns:

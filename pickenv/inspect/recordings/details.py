@@ -190,8 +190,8 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
     """Return fields of attitude errors ``(F, 3)``, rotation vectors, rad; an empty dictionary if attitudes are unknown.
 
-    There are three fields: by its key that of the first policy and that of the last policy, and by `FLOOR` the part of
-    the last policy's errors that no joint motion removes.
+    There are three fields: that of the first policy and that of the last policy, each by the policy's key, and by
+    `FLOOR` the part of the last policy's errors that no joint motion removes.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     if first.field_attitude is None or last.field_attitude is None:
@@ -325,10 +325,10 @@ def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Ar
 def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     """Return the position errors ``(R, M)``, mm, of M machines whose filters correct the last policy's commands.
 
-    A filter is a Kalman filter of the arm's parameters, which learns after each of R picks, ``dt`` seconds apart. It
-    treats the arm with these commands as the nominal arm, as `AdaptiveReach` does behind a compensator. The joint
-    values given to the filter are those at which the nominal tool is at the fruit. The filter's correction is added to
-    the command.
+    A filter is a Kalman filter of the arm's parameters, which learns after each of R picks, ``dt`` seconds apart. For
+    the filter, the arm that executes the policy's commands is the nominal arm, as for `AdaptiveReach` behind a
+    compensator. The filter's joint values are those at which the nominal tool is at the fruit. Its correction is added
+    to the command.
     """
     nominal, count = comparison.nominal, len(comparison.fruit)
     commands = comparison.policies[-1].ends.joint_command

@@ -66,9 +66,10 @@ class EpisodeLog:
 
         Args:
             key: Name in entity paths: the policy, and the environment's number if there are several.
-            episode_trigger: Function of an episode's index that returns whether to record the episode from its start;
-                None for never.
-            step_trigger: Function of a step's index that returns whether to record from this step on; None for never.
+            episode_trigger: Function of an episode's index, from 0, that returns whether to record the episode from its
+                start; None for never.
+            step_trigger: Function of a step's index over all episodes, from 0, that returns whether to record from this
+                step on; None for never.
             length: Number of steps to record after a trigger; infinite for whole episodes.
         """
         self.key, self.length, self.rows = key, length, list[Row]()
@@ -121,7 +122,7 @@ class Scene:
         period: Time between steps, s.
         tolerance_mm: Radius of the gripper's capture region, mm; None if there is none.
         label: Name of the policy for readers.
-        colour: Colour of the policy.
+        colour: Colour of the policy, RGB in 0..255.
     """
 
     nominal: Geometry | None
@@ -132,7 +133,7 @@ class Scene:
 
     @cached_property
     def parts(self) -> list[int]:
-        """Indices of the segments of the arm's polyline that are drawn, from `drawn_parts`."""
+        """Indices, from 0, of the first points of the segments of the arm's polyline to draw (`drawn_parts`)."""
         assert self.nominal is not None
         lower, upper = self.nominal.lower, self.nominal.upper
         return drawn_parts(nominal_points(self.nominal, np.stack([lower, (lower + upper) / 2.0, upper])))
@@ -162,12 +163,12 @@ def has_arm(scene: Scene, info: Mapping[str, Any]) -> bool:
 
 
 def has_fruit(info: Mapping[str, Any]) -> bool:
-    """Return whether misses can be drawn: `info` has tool and fruit positions."""
+    """Return whether the vector from fruit to tool can be drawn: `info` has tool and fruit positions."""
     return set(POSITIONS) <= set(info)
 
 
 def distances_mm(rows: Sequence[Row]) -> Array | None:
-    """Return the distance between tool and fruit in each row ``(T,)``, mm.
+    """Return the distance between tool and fruit in each recorded step ``(T,)``, mm.
 
     Return None if `info` has neither the positions of tool and fruit nor the distance.
     """
@@ -177,7 +178,7 @@ def distances_mm(rows: Sequence[Row]) -> Array | None:
 
 
 def last_rows(rows: Sequence[Row]) -> list[Row]:
-    """Return the last recorded row of each episode."""
+    """Return the last recorded step of each episode."""
     return list({row.order: row for row in rows}.values())
 
 
@@ -192,7 +193,7 @@ def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def column(rows: Sequence[Row], name: str) -> Array:
-    """Return the values of the entry ``name`` of `info` in all rows ``(T, ...)``."""
+    """Return the values of the entry ``name`` of `info` in all recorded steps ``(T, ...)``."""
     return np.array([row.info[name] for row in rows], dtype=float)
 
 
@@ -287,9 +288,9 @@ def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[s
 
 
 def _strung(scene: Scene, rows: Sequence[Row], begin: int) -> tuple[NDArray[np.int64], Array]:
-    """Return indices ``(T,)`` of ``rows`` among all steps, and their times ``(T,)``, s, on the time line `sim_time`.
+    """Return indices ``(T,)`` of ``rows`` among all recorded steps, from 0, and their times ``(T,)``, s, on `sim_time`.
 
-    ``begin`` is the index of the first row.
+    ``begin`` is the index of the first of ``rows``.
     """
     moments = np.arange(begin, begin + len(rows))
     return moments, scene.period * moments + GAP * np.array([row.order for row in rows])

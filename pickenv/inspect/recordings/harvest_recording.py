@@ -31,7 +31,9 @@ COLUMN_RADIUS, BOOM_RADIUS, FRUIT_RADIUS = 0.03, 0.02, 0.03
 
 
 def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Path:
-    """Write a recording of one round (a picture of a zone and its picks) on a harvested tree, that with the most picks.
+    """Write a recording of the round with the most picks on a harvested tree.
+
+    A round is a picture of a zone and the picks that follow from it.
 
     Args:
         machine: The harvester.
@@ -102,8 +104,8 @@ def _send_strip(scribe: Scribe, entity: str, points: Array, colour: Rgb, radius:
 def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: float) -> None:
     """Send the lane of the slave arm ``arm`` (index from 0) in the Gantt chart, with the end of each pick.
 
-    The arm is carried by the master, travels, or is out on a pick. ``arrival`` is the time at which the master stands,
-    s.
+    The arm is carried by the master, travels, or is out on a pick. ``arrival`` is the time, s, at which the master
+    stands.
     """
     mine = np.flatnonzero(shown.times.arm == arm)
     moments, states = [0.0, arrival], ["carried", "travel"]

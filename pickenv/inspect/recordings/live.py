@@ -124,7 +124,7 @@ def telemetry_wanted() -> bool:
 
 
 def viewer_environment() -> dict[str, str]:
-    """Return the environment variables for a viewer; unless telemetry is wanted, CI is set, which switches it off."""
+    """Return the environment variables for a viewer: CI, which switches telemetry off, unless telemetry is wanted."""
     return dict(os.environ) if telemetry_wanted() else {**os.environ, "CI": "1"}
 
 

@@ -53,7 +53,7 @@ class _Recorder:
         self._stream: rr.RecordingStream | None = None
 
     def met(self, info: Mapping[str, Any]) -> None:
-        """Store, after the first reset, what is the same in all episodes, and the recording's identity.
+        """Store the properties that all episodes share, and the recording's identity, after the first reset.
 
         ``info`` is that of the reset. Recordings of several policies on one environment, plant and first seed have one
         identity, so the viewer shows them as one.
@@ -193,7 +193,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Reset the environment, and record its first `info` if the triggers ask for it."""
+        """Reset the environment, and record its first `info` if a trigger asks for that."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._recorder.met(info)
         if self._log.begins():
@@ -201,7 +201,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         return observation, info
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment, and record its `info` if the triggers ask for it."""
+        """Step the environment, and record its `info` if a trigger asks for that."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._log.steps():
             self._log.note(info, float(reward), believed_joints(self.env))
@@ -218,7 +218,8 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
 class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
     """`LogRerun` for vector environments: it logs the environments with the chosen indices, from 0.
 
-    Change log: * v0.1.0 - Added.
+    Change log:
+     * v0.1.0 - Added.
     """
 
     def __init__(
@@ -258,7 +259,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environments, and record their first infos if the triggers ask for them."""
+        """Reset the environments, and record the first `info` of each environment if a trigger asks for that."""
         mask = None if options is None else options.get("reset_mask")
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._recorder.met(infos)
@@ -270,7 +271,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step the environments, and record their infos if the triggers ask for them."""
+        """Step the environments, and record the `info` of each environment if a trigger asks for that."""
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         same_step = self.env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
         ended = False

@@ -235,7 +235,7 @@ MOST_ABREAST = 4
 def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
     """Return a blueprint with all panels collapsed.
 
-    At first the time is paused; when played, it loops. Both can be changed by ``time``.
+    At first the time is paused; when played, it loops. The options ``time`` can change both.
 
     Args:
         content: The views.

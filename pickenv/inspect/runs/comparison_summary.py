@@ -46,7 +46,7 @@ def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
 
 
 def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
-    """Return one row of numbers per policy, such as the mean miss and its interval; an unknown number is None."""
+    """Return one dictionary of numbers per policy, such as the mean miss and its interval; None if unknown."""
     return [_policy_row(policy) for policy in episodes.policies]
 
 
@@ -139,10 +139,11 @@ def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
 
 
 def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, dict[str, dict[str, Any]]]:
-    """Return the row of the best policy (least mean miss), and its differences from its rivals, by the rivals' labels.
+    """Return the numbers of the best policy (least mean miss), and its differences from each rival, by label.
 
-    A rival is another policy that closed the gripper for some of the same fruit. ``lead_mm`` of a difference is the
-    rival's miss minus the best policy's, mm. If no policy closed the gripper, the row is None.
+    A miss is the distance from tool to fruit when the gripper closed. A rival is another policy that closed the gripper
+    for some of the same fruit. ``lead_mm`` of a difference is the rival's miss minus the best policy's, mm. If no
+    policy closed the gripper, the first result is None.
     """
     closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
     if not closed:
@@ -157,7 +158,7 @@ def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, dict[str, 
 
 
 def outcome_sentence(episodes: RecordedEpisodes) -> str:
-    """Return the verdict in a few words: which policy is best, and its mean miss."""
+    """Return the verdict in a few words: which policy is best, and its mean distance from the fruit at closing."""
     best, rivals = _best(episodes)
     if best is None:
         return "No policy closed the gripper"
@@ -181,8 +182,8 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
 def explanation(episodes: RecordedEpisodes) -> str:
     """Return the reasons for the verdict in sentences.
 
-    The reasons are the best policy's lead over its first rival, whether any gripper's picks change, and the picks in
-    these episodes.
+    The reasons are the best policy's lead over its first rival (see `policy_changes`), whether any gripper's picks
+    change, and the picks in these episodes.
     """
     best, rivals = _best(episodes)
     if best is None:
@@ -210,8 +211,9 @@ def _picking(episodes: RecordedEpisodes) -> str:
 def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
     """Return the change in picks if the best policy replaces a rival, for each gripper and perception error.
 
-    The best policy has the least mean miss. The rival is the first other policy in the list that closed the gripper for
-    some of the same fruit; without a rival the result is empty. Only the part of a miss across the tool's axis counts.
+    The best policy has the least mean distance from tool to fruit when the gripper closes. The rival is the first other
+    policy in the list that closed the gripper for some of the same fruit; without a rival the result is empty. Only the
+    part of this distance across the tool's axis counts.
     """
     best, rivals = _best(episodes)
     if best is None or not rivals:
@@ -307,7 +309,7 @@ def field_mm(policy: RecordedPolicy) -> Array:
 
 
 def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the grid cells that hold points ``(C, 3)``, sorted, and the mean of the values in each cell ``(C,)``.
+    """Return sorted indices of the C grid cells with points ``(C, 3)``, and the mean of each cell's values ``(C,)``.
 
     Args:
         index: Indices, from 0 along x, y and z, of the cell of each point ``(F, 3)``.
@@ -389,7 +391,10 @@ def summary_markdown(comparison: Comparison) -> str:
 
 
 def _better(comparison: Comparison) -> str:
-    """Return a sentence on the share of field points where the last policy errs less than the last but one."""
+    """Return a sentence on the share of field points where the last policy errs less than the last but one.
+
+    With fewer than two policies the text is empty.
+    """
     if len(comparison.policies) < 2:
         return ""
     before, last = comparison.policies[-2:]

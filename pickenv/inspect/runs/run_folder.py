@@ -93,7 +93,7 @@ def run_kind(name: str, **source: str) -> RunKind:
     """Return the registered kind of run with a name.
 
     Args:
-        name: Name of the kind.
+        name: Name of the kind, such as "demo".
         source: ``package`` and ``version`` of the kind, as the run's record names them; arguments of `registry.get`.
 
     Raises:
@@ -114,7 +114,7 @@ class Run:
 
     Attributes:
         folder: The folder.
-        kind: Name of a registered kind of run.
+        kind: Name of a registered kind of run, such as "demo".
         command: Command line that makes the same numbers again.
         seed: Seed of everything random; None where there is no seed, or several.
         versions: Versions of the packages that computed the run, by package.
