@@ -449,7 +449,8 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     Returns:
         Pairs (path, fault). The first pair is for the record (`RECORD`), which lists the files of all pieces. The
         following pairs, sorted by name, are for the listed files and for all further files in the folder. The fault is
-        None for a sound file, else a sentence that says why the file is refused. A damaged record is the only pair.
+        None for a sound file, else a sentence that says why the file is refused. If the record is damaged, its pair is
+        the only one.
     """
     folder = Path(folder)
     record = folder / RECORD

@@ -216,7 +216,7 @@ def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[
         rows: Rows of `estimate` for the shipped constants, which are changed.
         measured: The rows of the experiment.
         draws: Column with the index of the draw of constants; 0 is for the shipped constants.
-        asked: The arguments with which ``rows`` were estimated, after the columns.
+        asked: The further arguments of `estimate`, after the columns, with which ``rows`` were estimated.
     """
     drawn: dict[tuple[Any, ...], list[float]] = {}
     for (draw,) in measured.levels(draws):

@@ -127,9 +127,9 @@ def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
         rows: The episodes, from `run_policies`.
 
     Returns:
-        One row for each policy, feedback, plant and pair of compensations; in the rows of ``rows``, "from" comes before
-        "to". "difference_mm" is the mean error with "to" minus that with "from". "ci95" is the 95 % interval of the
-        difference, and "significant" whether it differs from zero.
+        One dictionary for each policy, feedback, plant and pair of compensations. The compensation that appears first
+        in ``rows`` is "from", and the other one is "to". "difference_mm" is the mean error with "to" minus that with
+        "from". "ci95" is the 95 % interval of the difference, and "significant" whether it differs from zero.
     """
     steps, names = [behind for (behind,) in rows.levels("compensation")], ("policy", "feedback", "plant")
     pairs = {}
@@ -508,7 +508,7 @@ def distance_within(cell: Rows, share: float) -> Estimate:
 
 
 def picking_rows(rows: Rows) -> list[dict[str, Any]]:
-    """Return one row of numbers per picking policy, compensation, plant and gripper.
+    """Return one dictionary of numbers per picking policy, compensation, plant and gripper.
 
     Intervals are over arms, each with one training.
 
@@ -603,7 +603,7 @@ def _percent(share: float, ends: Sequence[float | None] | None) -> str:
 def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Return the column heads and the lines of cells of a short table: one line per policy, one column per rung.
 
-    A cell has two mean errors, mm: on raw arms, and after a slash with the last compensation.
+    A cell has two mean errors, mm: on raw arms, and after a slash with the last compensation in the policy's rows.
 
     Args:
         board: Result of `run_leaderboard`.

@@ -257,7 +257,7 @@ class SpreadRow:
 
     @property
     def published(self) -> float | None:
-        """Published mean error, mm; None if it is for other held-out rows than those of this row of the table.
+        """Published mean error, mm; None if it was published for other held-out rows, or not at all.
 
         A published error is for the separate test poses if the data set has some, else for random splits of the rows.
         """
@@ -430,7 +430,8 @@ def _interval(pairs: Array, split: str) -> Ends | None:
     The interval is computed for the logarithm of the remaining share, which is less skewed than the share.
 
     Args:
-        pairs: Squared errors after and before ``(n, 2)``, m^2, of random rows or of contiguous blocks in order.
+        pairs: Squared errors with the model, and with the reference model, ``(n, 2)``, m^2, of random rows or of
+            contiguous parts in order.
         split: "random" or "blocks".
     """
     ends = statistic_interval(pairs, lambda some: 0.5 * np.log(np.divide(*some.sum(axis=0))), ordered=split == "blocks")

@@ -642,12 +642,14 @@ def reach_status(missed: int, config: StudyConfig) -> str:
 
 
 def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Array]:
-    """Compute statistics of N arms from their errors at M fruit: columns ``(N,)``, `FIGURES` and "share_within".
+    """Compute statistics of N arms from their errors at M fruit, as columns ``(N,)`` by name.
+
+    The columns are `FIGURES`, and "share_within", the share of fruit with position errors up to the specified radius.
 
     Args:
         position: Position errors ``(N, M)``, m.
         attitude: Attitude errors ``(N, M)``, rad.
-        radius_mm: The specified radius, mm; "share_within" is the share of fruit with position errors up to this.
+        radius_mm: The specified radius, mm.
     """
     position_mm = 1e3 * np.ascontiguousarray(position)
     median, p95 = np.percentile(position_mm, [50, 95], axis=1)

@@ -260,7 +260,10 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
     fruit = protocol.circumstances(places["worst"][0]).fruit
 
     def errors_of(name: str, number: int) -> RecordedPolicy:
-        """Return an arm's errors over the field and at the fruit, when calibrated as the setting says."""
+        """Return the errors of an arm, calibrated as the setting says, over the field and at the fruit.
+
+        ``name`` is "worst", "median" or "best", and ``number`` the arm's number, from 0.
+        """
         arm, around = arms[name], protocol.circumstances(number)
         loaded = carrying(arm, cell.payload_kg)
 

@@ -141,7 +141,7 @@ def _summary(protocol: study.Protocol, folder: Path, files: Sequence[Path], abou
 
 
 def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, Any]:
-    """Return the causes of differences between the arms of a setting, or the reason why they are not known."""
+    """Return a setting's columns with its "shares", the rows of `components_of`, or with the reason "missing"."""
     from pickenv.experiments.study_variance import components_of
 
     try:
@@ -256,7 +256,7 @@ def read_record(path: Path, sha256: str, again: str) -> dict[str, Any]:
 
     Args:
         path: The file.
-        sha256: Hash of the study; the record must have the same hash as "config_sha256".
+        sha256: Hash of the study, which must be equal to the record's entry "config_sha256".
         again: What the user can do about a refused file, as the end of the error's sentence.
 
     Raises:

@@ -146,7 +146,7 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
 
 
 def _log_errors(protocol: Protocol, setting: Setting, arms: Plant, around: Sequence[Circumstances]) -> Array:
-    """Return logarithms ``(N,)`` of the radius, m, that contains the required share of an arm's fruit, for N arms.
+    """Return the logarithm of each arm's radius ``(N,)``; this radius, m, contains the required share of the fruit.
 
     An arm that was not judged has NaN. ``around`` has fruit, poses and tracker errors of each arm.
     """
