@@ -162,7 +162,10 @@ class _View:
 
 
 def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, top: float) -> None:
-    """Draw arrows of ``error`` ``(N, 3)`` at ``start`` ``(N, 3)``, m, from far to near; colours end at ``top`` mm."""
+    """Draw arrows of ``error`` ``(N, 3)`` at ``start`` ``(N, 3)``, m, from far to near; colours end at ``top`` mm.
+
+    Arrows are drawn ``gain`` times longer than true.
+    """
     order = np.argsort(view.depth(start))
     start, error = start[order], error[order]
     colours = viridis(np.linalg.norm(error, axis=-1) * 1e3 / top) / 255.0
@@ -176,7 +179,8 @@ def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, to
 def _arrow_outlines(tail: Array, tip: Array, width: float) -> Array:
     """Return the outlines ``(N, 7, 2)`` of flat arrows with filled heads; a short arrow is a scaled-down long arrow.
 
-    The arrows lead from ``tail`` to ``tip``, each ``(N, 2)``, in the units of the axes, as has the shaft's ``width``.
+    The arrows lead from ``tail`` to ``tip``, each ``(N, 2)``. All lengths, also the shaft's ``width``, are in the axes'
+    unit.
     """
     along = tip - tail
     length = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
@@ -205,7 +209,7 @@ def _box(axes: Axes, view: _View) -> None:
 def _axis_text(axes: Axes, view: _View, axis: int) -> None:
     """Write an axis's name, unit and range outside the lowest edge of the box that is parallel to the axis.
 
-    The ``axis`` is 0 for x, 1 for y, or 2 for z, for which the leftmost edge is used.
+    The ``axis`` is 0 for x, 1 for y and 2 for z. For z the leftmost edge is taken in place of the lowest.
     """
     bit = 4 >> axis
     flat, values = view.flat(view.corners), view.corners[:, axis]

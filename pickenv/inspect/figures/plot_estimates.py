@@ -122,7 +122,7 @@ def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None)
 
 
 def _in_words(column: str) -> str:
-    """Return a column's name for readers, with its unit: time (h) for time_h. A column without a unit has (number)."""
+    """Return a column's name for readers, with its unit: time (h) for time_h, pick (number) for pick without unit."""
     name, _, unit = column.rpartition("_")
     return f"{name.replace('_', ' ')} ({unit})" if unit in UNITS and name else f"{column} (number)"
 

@@ -301,8 +301,9 @@ def _send_numbers(
 ) -> None:
     """Send numbers ``values`` ``(T, k)`` of T rows on every time line.
 
-    On `step` and `sim_time` all episodes follow one another, on `episode` is the end of each, and on `episode_time` all
-    episodes are overlaid. ``begin`` is the index, from 0, of the first row among all recorded steps.
+    All episodes follow one another on `step` and `sim_time`, and are overlaid on `episode_time`. The time line
+    `episode` has the last numbers of each episode. ``begin`` is the index, from 0, of the first row among all recorded
+    steps.
     """
     first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
     moments, seconds = _strung(scene, rows, begin)
@@ -324,7 +325,10 @@ def _send_numbers(
 
 
 def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike | None = None) -> None:
-    """Send ``values`` ``(T, k)`` along the time columns; ``lengths`` has the numbers per time, by default k."""
+    """Send ``values`` ``(T, k)`` along the time columns.
+
+    ``lengths`` says how many numbers belong to each time of the columns; None for k numbers each.
+    """
     scalars = rr.Scalars.columns(scalars=values.ravel())
     scribe.along(entity, scalars.partition([values.shape[1]] * len(values) if lengths is None else lengths))
 

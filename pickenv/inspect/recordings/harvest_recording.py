@@ -77,9 +77,9 @@ def _send(stream: rr.RecordingStream, machine: Machine, harvest: Harvest, shown:
 
 
 def _send_machine(scribe: Scribe, machine: Machine, masters: Array, slaves: Array) -> None:
-    """Send column, boom with rail, and A slave arms, which move by the joints of master ``(T, 3)`` and slaves.
+    """Send column, boom with rail, and A slave arms, which move along the time lines.
 
-    ``slaves`` has shape ``(T, A, 3)``. Joints are in rad or m.
+    ``masters`` ``(T, 3)`` and ``slaves`` ``(T, A, 3)`` are the joints of master and slaves at each time, rad or m.
     """
     drawn_in = slaves.copy()
     drawn_in[..., 1:] = 0.0

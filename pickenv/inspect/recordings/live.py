@@ -124,7 +124,10 @@ def telemetry_wanted() -> bool:
 
 
 def viewer_environment() -> dict[str, str]:
-    """Return the environment variables for a viewer: CI, which switches telemetry off, unless telemetry is wanted."""
+    """Return this process's environment variables for a viewer, with CI set unless telemetry is wanted.
+
+    CI switches the viewer's telemetry off.
+    """
     return dict(os.environ) if telemetry_wanted() else {**os.environ, "CI": "1"}
 
 

@@ -126,7 +126,7 @@ NOT_OF_THE_RECORDER = ("self", "env", "indices")
 
 
 class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
-    """Log episodes for the Rerun viewer: true and nominal arm, fruit, miss, and every number of `info`.
+    """Log episodes for Rerun: true and nominal arm, fruit, arrow from fruit to tool, and every number of `info`.
 
     The signature follows `gymnasium.wrappers.RecordVideo`. All recorded episodes are in one file,
     ``save_path/name_prefix-policy.rrd``. The viewer shows files of several policies on one environment and seed as one

@@ -104,7 +104,10 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
 
 
 def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
-    """Return entity name, title and errors ``(F, 3)``, m, of every field."""
+    """Return entity name, title and errors ``(F, 3)``, m, of each policy's error field and of the difference field.
+
+    The difference is the first policy's errors minus the last policy's; a single policy has none.
+    """
     fields = []
     for policy in comparison.policies:
         mean, *_ = error_spread(field_mm(policy))

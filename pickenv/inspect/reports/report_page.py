@@ -61,7 +61,7 @@ deviation, and the limit of the scale, which goes from minus to plus this limit.
 def bar_place(value: float, limit: float) -> float:
     """Return the horizontal position of a value on a bar's drawing, which is 120 units wide.
 
-    Zero is at 60, ``limit`` at 116, and minus ``limit`` at 4; larger values are drawn at these ends.
+    Zero is at 60, ``limit`` at 116, and minus ``limit`` at 4. Values beyond these limits are drawn at the limits.
     """
     return 60.0 + 56.0 * min(max(value / limit, -1.0), 1.0)
 
@@ -208,7 +208,7 @@ def library() -> Markup:
 
 
 def packed(content: bytes) -> Markup:
-    """Return bytes as base64 markup for a page, in which short names are not spelled out."""
+    """Return bytes as base64 markup, which the page's templates leave unchanged."""
     return Markup(base64.b64encode(content).decode())
 
 

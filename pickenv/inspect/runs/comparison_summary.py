@@ -212,8 +212,8 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
     """Return the change in picks if the best policy replaces a rival, for each gripper and perception error.
 
     The best policy has the least mean distance from tool to fruit when the gripper closes. The rival is the first other
-    policy in the list that closed the gripper for some of the same fruit; without a rival the result is empty. Only the
-    part of this distance across the tool's axis counts.
+    policy in ``episodes.policies`` that closed the gripper for some of the same fruit; without a rival the result is
+    empty. Only the part of this distance across the tool's axis counts.
     """
     best, rivals = _best(episodes)
     if best is None or not rivals:
@@ -237,7 +237,7 @@ def _across(policy: RecordedPolicy) -> Array:
 
 
 def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """Return the whole comparison as a dictionary for JSON."""
+    """Return all numbers of a comparison, per policy and per pair of policies, as a dictionary for JSON."""
     return {
         "environment": episodes.env_id,
         "plant": episodes.plant_name,
@@ -326,7 +326,7 @@ def colour_scale_mm(comparison: Comparison) -> float:
 
 
 def uncertainty_scale_mm(comparison: Comparison) -> float:
-    """Return the upper end, mm, of the colour scale that predicted uncertainty and last policy's error field share."""
+    """Return the upper end, mm, of the colour scale for both the predicted uncertainty and the last policy's errors."""
     assert comparison.field_uncertainty is not None
     lengths = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
     return scale_end(lengths)
