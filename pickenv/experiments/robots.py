@@ -121,7 +121,7 @@ class BenchSettings:
 
     @staticmethod
     def quick() -> BenchSettings:
-        """Return settings of a small bench: with the rows of the UR5 it takes about a minute."""
+        """Return settings of a small bench, which takes about a minute for the rows of the UR5."""
         return BenchSettings(rows=160, folds=2)
 
 

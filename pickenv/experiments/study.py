@@ -551,8 +551,8 @@ def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
 def judged_chunk(protocol: Protocol, chunk: int, judge: Judge) -> Rows:
     """Draw the arms of a chunk from each population, judge them, and return the rows of the chunk.
 
-    The ``chunk`` is an index from 0. The function ``judge`` calibrates and judges arms of one population, as
-    `judge_batch`.
+    The ``chunk`` is an index from 0. The function ``judge`` calibrates and judges the arms of one population;
+    `judge_batch` is such a function.
     """
     arms = protocol.config.arms_of(chunk)
     around = [protocol.circumstances(arm) for arm in arms]
