@@ -135,8 +135,8 @@ def plan_film(
 def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> list[tuple[int, int]]:
     """Return the moments of an episode to show, as pairs of the indices (from 0) of episode and moment.
 
-    If each episode is a reach (``reaching``), the moments end when all tools stand still, else with the episode. The
-    last moment of the episode follows `PAUSE` times.
+    They begin with the reset. If each episode is a reach (``reaching``), they stop when all tools stand still,
+    otherwise at the end of the episode. Then the episode's last moment is repeated `PAUSE` times.
     """
     last = max(int(policy.moments[episode]) for policy in policies) - 1
     arrived = last

@@ -94,7 +94,7 @@ def trace_of(
 
     Args:
         fit: Result of `calibration.fit` on the first set.
-        sets: Measurements by role: the first set was used for identification, "test" was held out.
+        sets: Measurements by the name of the set. The first set was used for identification, and "test" was held out.
         errors: Held-out errors of each stage (raw, LS and so on), by label, as in `CalibrationTrace`.
         views: Held-out views; empty where no pictures were taken.
     """
