@@ -59,8 +59,9 @@ class ConditionsSettings:
         hours: Length of a working day, h.
         arms: Number of arms drawn from the tolerance class.
         tolerances: Name of the tolerance class.
-        sessions: Number of training sessions, each under conditions of its own.
-        poses: Number of poses of a session. At the reference an arm is measured at ``sessions`` times as many.
+        sessions: Number of training sessions. In each session the conditions are constant and differ from other
+            sessions.
+        poses: Number of poses of a session. At the reference an arm is measured at ``sessions * poses`` poses.
         residual: Name of the residual model.
         seed: Seed of all random numbers.
     """
@@ -92,12 +93,15 @@ class State:
 
     @staticmethod
     def same(count: int, **known: float) -> State:
-        """Return conditions at ``count`` poses: the reference (all 0), except for the attributes given in ``known``."""
+        """Return conditions at ``count`` poses: the reference (all 0), except for the attributes set by ``known``."""
         return State(*(np.full(count, known.get(name, 0.0)) for name in ("payload", "weather", "hour")))
 
     @staticmethod
     def drawn(settings: ConditionsSettings, rng: np.random.Generator) -> State:
-        """Draw the conditions of random sessions (a Latin hypercube over the ranges), and return them pose by pose."""
+        """Draw constant conditions for each session, and return the conditions at all poses, session by session.
+
+        The result has ``sessions * poses`` entries. The sessions are a Latin hypercube over the ranges in ``settings``.
+        """
         count = settings.sessions
         share = (np.array([rng.permutation(count) for _ in range(3)]) + rng.random((3, count))) / count
         low = np.array([0.0, -settings.weather, 0.0])[:, None]
@@ -108,7 +112,7 @@ class State:
 def warming(plant: Plant) -> Plant:
     """Return a plant (the true arm with its errors) that has thermal growth.
 
-    A plant that has none gets the thermal growth of the tolerance class "medium".
+    A plant without thermal growth gets that of the tolerance class "medium"; any other plant is returned unchanged.
     """
     if plant.effect("thermal_growth") is not None:
         return plant
@@ -119,7 +123,10 @@ def warming(plant: Plant) -> Plant:
 
 
 def rises(plant: Plant, state: State) -> Array:
-    """Return the temperature of a plant's links above the reference ``(N,)``, K: the day's warm-up plus the weather."""
+    """Return how much warmer a plant's links are than at the reference ``(N,)``, K.
+
+    This is the sum of the warm-up since the start of work and of the day's deviation from the usual temperature.
+    """
     thermal = plant.effect("thermal_growth")
     return np.asarray(warmed(np, thermal, thermal.initial_rise, 3600.0 * state.hour) + state.weather)
 
@@ -142,7 +149,8 @@ def under(plant: Plant, state: State) -> Plant:
 def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Measurements:
     """Simulate tracker readings of a plant (the true arm) at random poses, one for each entry of ``state``.
 
-    The arm moves to each pose from another random pose. The result records payload and temperature.
+    The arm moves to each pose from another random pose. The measurements include payload and temperature, but not the
+    hour.
     """
     nominal, count = plant.arm.nominal, len(state.payload)
     joints, before = random_joints(nominal, count, rng), random_joints(nominal, count, rng)
@@ -184,7 +192,7 @@ def left_by(
 
 
 def told(data: Measurements, state: State) -> Array:
-    """Return the inputs of a learnt residual as columns ``(N, 3)``: payload, kg, temperature, K, and hour, h."""
+    """Return inputs of a learnt residual as columns ``(N, 3)``: payload, kg, temperature rise, K, and hour, h."""
     inputs = data.conditions.inputs()
     assert inputs is not None
     return np.column_stack([inputs, state.hour])
@@ -194,7 +202,8 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
     """Calibrate a true arm by every method, each from the same number of poses.
 
     Returns:
-        For each method and for "raw", a `Left`, which computes the pose errors after calibration.
+        For each method and for "raw" (the uncalibrated arm), by name, a function of measurements and their conditions
+        that returns the remaining pose errors (`Left`).
     """
     arm, nominal = plant.arm, plant.arm.nominal
     apart = State.drawn(settings, rng)
@@ -220,9 +229,9 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
 
 
 def levels_of(settings: ConditionsSettings) -> dict[str, Array]:
-    """Return the values of each condition at which calibrations are judged, by the name of the condition.
+    """Return the values of each condition at which calibrations are judged, by "payload", "temperature" and "hour".
 
-    A condition whose range is a single value is left out.
+    The units are kg, K above the usual temperature, and h. A condition whose range is a single value is left out.
     """
     ends = {"payload": (0.0, settings.payload), "temperature": (-settings.weather, settings.weather)}
     ends["hour"] = (0.0, settings.hours)
@@ -230,7 +239,10 @@ def levels_of(settings: ConditionsSettings) -> dict[str, Array]:
 
 
 def state_at(condition: str, level: float, count: int) -> State:
-    """Return the reference conditions at ``count`` poses, with one condition set to ``level``."""
+    """Return the reference conditions at ``count`` poses, with one condition set to ``level``.
+
+    The ``condition`` is "payload" (``level`` in kg), "temperature" (the day's deviation, K) or "hour" (h).
+    """
     return State.same(count, **{"weather" if condition == "temperature" else condition: level})
 
 
@@ -239,8 +251,14 @@ def judged_on(
 ) -> Rows:
     """Compute the position errors that calibrations leave at poses and conditions that no fit has used.
 
-    A sweep sets one condition to each of the values of `levels_of`, with the other conditions at the reference. One
-    more sweep, `HELD_OUT`, draws all conditions at random.
+    A sweep sets one condition to each of the values of `levels_of`, with the other conditions at the reference. A
+    further sweep, `HELD_OUT`, draws all conditions at random.
+
+    Args:
+        plant: The true arm.
+        calibrations: For each method, by name, the function from `calibrated`.
+        settings: Settings of the study.
+        rng: Random numbers for conditions, poses and tracker.
 
     Returns:
         One row for each sweep, value of its condition, method and pose, with "error_mm". "level" is the index of the
@@ -268,7 +286,8 @@ def judged_arm(
     Args:
         rng: Not used; every arm has a random stream from the study's seed and the arm's index.
         arm: Index of the arm among the drawn ones, from 0.
-        plants: The drawn true arms; with ``calibration``, the one true arm that it belongs to.
+        plants: The drawn true arms, as one plant with arrays over arms; with ``calibration``, the true arm that the
+            calibration belongs to.
         settings: Settings of the study.
         calibration: If given, only this calibration and the raw arm are judged.
     """

@@ -69,7 +69,7 @@ piece's random numbers."""
 
 @dataclass(frozen=True)
 class Rows:
-    """A table of rows, stored as one array per column; all columns have the same number of rows.
+    """A table of results (not of readings), stored as one array per column; all columns have the same number of rows.
 
     Attributes:
         columns: Array of each column ``(N, ...)``, by the column's name.
@@ -142,7 +142,7 @@ class Rows:
 def joined(parts: Sequence[Rows]) -> Rows:
     """Concatenate tables of rows; NaN, or empty text, fills the rows of a part that lacks a column.
 
-    If the arrays of a column are shorter in one part than in another, they are filled up in the same way.
+    If a column holds arrays that are shorter in one part than in another, the shorter arrays are filled up likewise.
     """
     filled = [part for part in parts if len(part)]
     names = dict.fromkeys(name for part in filled for name in part.columns)
@@ -171,15 +171,16 @@ class Experiment:
 
     Attributes:
         name: Name in file names and messages.
-        units: Names and values of what is sampled, such as ``{"arm": range(64)}``; intervals are computed over units.
+        units: Names and levels (values) of what is sampled, such as ``{"arm": range(64)}``; intervals are computed over
+            units.
         factors: Names and levels of what is compared, such as ``{"method": ("raw", "ls")}``.
-        measure: Function that returns the rows of a piece: columns, or one mapping per row. It is called with ``rng``
-            and one level of each unit and factor by name. ``rng`` depends on the unit, and is the same at every level
-            of the factors. For use in other processes it must be a module-level function, or a `functools.partial` of
-            one.
+        measure: Function that returns the rows of a piece, that is of one level of each unit and factor: columns, or
+            one mapping per row. It is called with ``rng`` and these levels by name. ``rng`` depends on the unit, and is
+            the same at every level of the factors. For use in other processes it must be a module-level function, or a
+            `functools.partial` of one.
         seed: Seed of all random numbers.
         inputs: Everything that the rows depend on besides levels, seed and code: settings, plants, hashes of files. Or
-            a function that returns it, called with the levels by name.
+            a function that returns all this as a tuple, called with the levels by name.
         fits: Function that returns whether a combination is measured, called with one level of each unit and factor by
             name. None: all combinations are measured.
     """
@@ -193,7 +194,10 @@ class Experiment:
     fits: Callable[..., bool] | None = field(default=None, compare=False)
 
     def pieces(self) -> list[Piece]:
-        """Return the pieces that `fits` accepts, in order: the first factor varies slowest, the last unit fastest."""
+        """Return the pieces that `fits` accepts, that is the combinations of one level of each unit and factor.
+
+        The first factor varies slowest, the last unit fastest.
+        """
         pieces: list[Piece] = []
         for levels in product(*self.factors.values()):
             for places in product(*(range(len(values)) for values in self.units.values())):
@@ -204,7 +208,7 @@ class Experiment:
         return pieces
 
     def measured(self, piece: Piece) -> Rows:
-        """Measure one piece, and return its rows; their first columns are the piece's levels of units and factors."""
+        """Measure one of `pieces`, and return its rows; their first columns are the levels of units and factors."""
         levels, place = piece
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))
         with single_threaded():
@@ -213,7 +217,7 @@ class Experiment:
         return Rows(first | dict(rows.columns))
 
     def key(self, piece: Piece) -> str:
-        """Return one hash over everything that the rows of a piece depend on: levels, seed, inputs and code."""
+        """Return one hash over everything that the rows of one of `pieces` depend on: levels, seed, inputs and code."""
         levels, place = piece
         inputs = self.inputs(**levels) if callable(self.inputs) else self.inputs
         return input_key(self.name, self.seed, inputs, dict(levels), place)
@@ -228,7 +232,10 @@ def input_key(*inputs: Any) -> str:
 
 
 def _file_name(name: str, levels: Levels, key: str) -> str:
-    """Return the name of the file that stores one piece (its rows at ``levels``) of the experiment ``name``."""
+    """Return the name of the file that stores one piece of the experiment ``name``.
+
+    The piece has these ``levels`` of its units and factors, by name, and the hash ``key`` from `Experiment.key`.
+    """
     label = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(map(str, levels.values()))).strip("-")[-80:]
     return f"{name}_{label}_{key[:16]}.parquet"
 
@@ -244,7 +251,8 @@ def run(
 ) -> Rows:
     """Measure the pieces that the folder lacks, and return the rows of all pieces, in the order of `Experiment.pieces`.
 
-    A piece whose file is damaged is computed again, with a warning.
+    A piece is the work at one level of each unit and factor. A piece whose file is damaged is computed again, with a
+    warning.
 
     Args:
         experiment: The experiment.
@@ -279,8 +287,8 @@ def keep(
 ) -> list[Path]:
     """Measure the pieces that a folder lacks, and return the files of all measured pieces in the order of the pieces.
 
-    The arguments are those of `run`. Rows are written piece by piece, so they need not fit into memory together.
-    pyarrow can read the files as one data set.
+    The arguments are those of `run`, except that ``folder`` is required. Each piece is written when it is measured, so
+    the rows of all pieces need not fit into memory together. pyarrow can read the files as one data set.
     """
     folder, pieces = Path(folder), experiment.pieces()
     require("pyarrow")
@@ -317,7 +325,10 @@ def _computed(
     progress: Progress | None,
     refused: Refused | None,
 ) -> Iterator[tuple[int, Rows]]:
-    """Compute the pieces with the indices ``todo``, and yield index and rows of each, in any order; see `run`."""
+    """Compute the pieces with the indices ``todo`` (from 0), and yield index and rows of each, in any order.
+
+    All further arguments are those of `run`.
+    """
     done = len(pieces) - len(todo)
     for number, rows in spread(partial(_measured, experiment, pieces, refused is None), todo, backend, workers):
         if isinstance(rows, Rows):
@@ -330,7 +341,7 @@ def _computed(
 
 
 def _measured(experiment: Experiment, pieces: Sequence[Piece], ends: bool, number: int) -> Rows | InputError:
-    """Measure the piece with the index ``number``, and return its rows.
+    """Measure the piece with the index ``number`` (from 0), and return its rows.
 
     If the piece cannot be measured, the `InputError` is raised if ``ends`` is True, and returned otherwise.
     """
@@ -346,7 +357,7 @@ def _measured(experiment: Experiment, pieces: Sequence[Piece], ends: bool, numbe
 
 
 def kept_rows(folder: str | Path) -> Rows:
-    """Read the rows of the last run of an experiment in this folder, and verify each piece.
+    """Read all rows of the last run of an experiment in this folder, and verify the file of each piece.
 
     Raises:
         InputError: If the folder holds no such run, the run is incomplete, or a file is damaged or was edited.
@@ -355,7 +366,7 @@ def kept_rows(folder: str | Path) -> Rows:
 
 
 def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
-    """Yield the file and the table of each piece of the last run in this folder.
+    """Yield the file and the table of each piece (one level of each unit and factor) of the folder's last run.
 
     Each piece is verified when it is read; only one table is in memory at a time.
 
@@ -369,7 +380,10 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
 
 
 def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
-    """Write the record of a folder: these pieces (key by file), and the pieces of earlier runs that are still there."""
+    """Write the record of a folder (`RECORD`), which lists the files of pieces, each with the key of its piece.
+
+    The record lists ``pieces`` (keys by file name), and those pieces of earlier runs whose files are in the folder.
+    """
     path, before = folder / RECORD, dict[str, str]()
     try:
         before |= _read_record(path)["pieces"] if path.is_file() else {}
@@ -390,7 +404,7 @@ def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
     Args:
         path: The file.
         rows: The rows.
-        name: Name of the experiment.
+        name: Name of the experiment, which the file records.
         key: Text that identifies the rows, usually `Experiment.key`; `piece_table` needs the same text to read them.
     """
     import pyarrow as pa
@@ -433,9 +447,10 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     """Verify every file in an experiment's folder.
 
     Returns:
-        Pairs (path, fault). The first is for the record (`RECORD`). The others, sorted by name, are for the pieces that
-        the record lists and for all other files in the folder. The fault is None for a sound file, else a sentence that
-        says why the file is refused.
+        Pairs (path, fault). The first pair is for the record (`RECORD`), which lists the files of all pieces. The
+        following pairs, sorted by name, are for the listed files and for all further files in the folder. The fault is
+        None for a sound file, else a sentence that says why the file is refused. If the record is damaged, its pair is
+        the only one.
     """
     folder = Path(folder)
     record = folder / RECORD
@@ -458,7 +473,7 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
 
 
 def refusal(read: Callable[..., object], *arguments: Any) -> str | None:
-    """Call ``read``, and return the message of the `InputError` that it raises; None if it raises none."""
+    """Return the message of the `InputError` that ``read`` raises for ``arguments``; None if it raises none."""
     try:
         read(*arguments)
     except InputError as error:
@@ -487,7 +502,7 @@ def _array_of(column: Any) -> NDArray[Any]:
 
 
 def write_rows(path: Path, rows: Rows) -> Path:
-    """Write rows as a .csv or .parquet file, completely or not at all.
+    """Write rows as a table into a .csv or .parquet file, completely or not at all, and return the path.
 
     Raises:
         InputError: If the file has any other suffix.
@@ -507,8 +522,8 @@ def pivot(
 
     Args:
         rows: One mapping for each cell of the pivot table.
-        names: Keys that become the first columns; each combination of their values has one line.
-        across: Key whose values become the heads of the other columns.
+        names: Keys of ``rows`` that become the first columns; each combination of their values has one line.
+        across: Key of ``rows`` whose values become the heads of all further columns.
         cell: Function that maps one of ``rows`` to the text of its cell.
     """
     columns = list(dict.fromkeys(row[across] for row in rows))

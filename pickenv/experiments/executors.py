@@ -26,13 +26,13 @@ def spread(
 ) -> Iterator[tuple[int, Any]]:
     """Call ``work`` with each number, and yield (number, result) as the calls end, in any order.
 
-    When a call raises an exception, no other call is started. Calls in progress are finished and their results yielded;
-    then the exception is raised. Without this, loky would kill the other workers.
+    When a call raises an exception, no further call is started. The calls in progress end, and their results are
+    yielded. Then the exception is raised. If the exception were raised at once, loky would kill all workers.
 
     Args:
         work: Function to call; a module-level function if other processes are to call it.
         numbers: The numbers that ``work`` is called with.
-        backend: One of `BACKENDS`.
+        backend: "serial" (this process) or "loky" (processes of this machine), as in `BACKENDS`.
         workers: Number of processes; None for one per core.
 
     Raises:
@@ -104,7 +104,7 @@ def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int
 def _end_with(driver: int) -> None:
     """Make this worker process end soon after its parent, the process with the id ``driver``, has ended.
 
-    Otherwise the worker would wait for ever for its rows to be fetched.
+    A worker without a parent would wait for ever for someone to fetch its results.
     """
 
     def watch() -> None:

@@ -90,23 +90,24 @@ class Number:
         value: Column that the numbers are estimated from; a list of columns if the statistic needs several.
         by: Columns that identify a number; each combination of their values has one number.
         over: One or two columns of units; the intervals are over these units.
-        of: Statistic to estimate: "mean", "share", "ratio", "removed", a probability for that quantile over units, or
-            "file.py:function" for a function of the units' means (`pickenv.base.intervals.estimate`).
-        against: Reference value of one or several columns of ``by``. Each number then compares the other rows with the
-            rows at the reference, pair by pair.
+        of: Statistic to estimate: "mean", "share", "ratio", "removed" (relative reduction of the mean), a probability
+            for that quantile over units, or "file.py:function" for a function of the units' means
+            (`pickenv.base.intervals.estimate`).
+        against: Reference value of one or several columns of ``by``. Each number then compares the rows at another
+            value with the rows at the reference, pair by pair.
         where: Values, by column, that select the rows to use; None uses all rows.
         across: Column of ``by`` whose levels become columns of the table; None gives every level its own line.
         margin: If given, a verdict follows each number. The verdict of a difference whose whole interval lies within
             plus or minus this margin is "carries over".
-        least: Smallest number of units for an interval of a mean. A small number is enough if each unit is a run whose
+        least: A mean of fewer units than this has no interval. A small number is enough if each unit is a run whose
             mean is nearly normal.
-        lost: Limit above which a value counts as lost. The mean leaves lost values out; their share is printed beside
-            it.
+        lost: Limit above which a value counts as lost. The mean leaves lost values out; the share of lost values is
+            printed beside the mean.
         draws: Unit whose level 0 is the design with its shipped constants, and whose other levels are draws of these
             constants (`pickenv.arm.plant.plant_file.with_drawn_constants`). The interval of a number then contains the
-            number of one further draw with probability 95 %. It needs `LEAST_DRAWS` draws.
-        spread: Whether the standard deviation and the range of the units' means are shown beside each number. This
-            needs a single column ``value``, no ``across``, and a statistic other than "removed".
+            number of one further draw with probability 95 %. At least `LEAST_DRAWS` draws are needed.
+        spread: Whether the standard deviation and the range of the units' means are shown beside each number. The
+            option needs a single column ``value``, no ``across``, and a statistic other than "removed".
         digits: Digits after the point.
         scale: Factor on the printed numbers, such as 100 for percent.
         figure: Name of the table's figure; None for no figure.
@@ -139,7 +140,7 @@ class Number:
 
 @toml_table
 class _File:
-    """The keys that an experiment's file may have."""
+    """The keys that an experiment's file may have, with the checks of their values."""
 
     _: KW_ONLY
     title: Annotated[str, WORD]
@@ -162,7 +163,7 @@ class ExperimentFile:
         path: The file.
         title: The question that the experiment asks.
         experiment: The experiment.
-        numbers: The tables of numbers to estimate from its rows.
+        numbers: The tables of numbers to estimate from the experiment's rows.
         functions: The functions that the file names, by the text that names them ("file.py:function").
         figures: The functions that draw the rows, by the names of their figures.
     """
@@ -178,8 +179,8 @@ class ExperimentFile:
         """Estimate the tables of numbers from the experiment's rows.
 
         Returns:
-            For each of ``numbers`` a dict with "title" and "rows". Each row has its levels and "estimate", and the
-            other keys that `pickenv.base.intervals.estimate` gives.
+            For each of ``numbers`` a dict with "title" and "rows". Each of these rows is a dict of levels by name,
+            "estimate", and the further keys that `pickenv.base.intervals.estimate` gives.
 
         Raises:
             InputError: If a table names a column that the rows lack, or a comparison needs pairs of rows that do not
@@ -210,6 +211,12 @@ def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[
     """Replace intervals over units by intervals over draws of constants, in place; "sampled" keeps the old estimate.
 
     The range of K numbers contains one further number with probability (K - 1) / (K + 1), for any distribution.
+
+    Args:
+        rows: Rows of `estimate` for the shipped constants, which are changed.
+        measured: The rows of the experiment.
+        draws: Column with the index of the draw of constants; 0 is for the shipped constants.
+        asked: The further arguments of `estimate`, after the columns, with which ``rows`` were estimated.
     """
     drawn: dict[tuple[Any, ...], list[float]] = {}
     for (draw,) in measured.levels(draws):
@@ -232,7 +239,7 @@ def load_experiment(
         path: The file (.toml).
         quick: Whether to replace units, factors and settings by the values in the file's table ``quick``.
         seed: Seed in place of the one in the file; None keeps the file's seed.
-        changes: New values of units, factors and settings, by name; they replace those in the file.
+        changes: New values of units, factors and settings, by name, in place of the file's values.
 
     Raises:
         InputError: If the file is missing, or a key is unknown or its value refused; the message names file, line and
@@ -299,7 +306,11 @@ def load_experiment(
 
 
 def _measured(word: str, measure: Callable[..., Any], settings: Mapping[str, Any], **levels: Any) -> Rows:
-    """Return the rows that a user's function measures; its errors are reported with line and levels."""
+    """Return the rows that a user's function ``measure`` measures; its errors are reported with file, line and levels.
+
+    The ``word`` is the function's name in the experiment's file, for messages. The function is called with
+    ``settings``, and with the generator "rng" and one level of each unit and factor from ``levels``.
+    """
     levels_in_words = ", ".join(f"{name}={level!r}" for name, level in levels.items() if name != "rng")
     with faults_in(Path(inspect.getsourcefile(measure) or word), f"function, or leave out {levels_in_words}"):
         return Rows.of(measure(**levels, **settings))
@@ -310,7 +321,10 @@ def _levels(value: int | Sequence[Any]) -> Sequence[Any]:
 
 
 def _function(path: Path, word: str) -> Callable[..., Any]:
-    """Return the function that ``word`` names: "file.py:function", beside ``path``, or "package.module:function"."""
+    """Return the function that ``word`` names: "file.py:function" or "package.module:function".
+
+    A "file.py" is in the folder of ``path``, the experiment's file.
+    """
     place, name = word.split(":")
     try:
         if place.endswith(".py"):
@@ -361,9 +375,9 @@ def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
     """Return the tables of `ExperimentFile.estimates` with plain values, for JSON.
 
     Each row has its levels, "value", the 95 % interval "ci95", and "no_interval", the reason why there is no interval.
-    A row over several runs has "runs", the mean of each run. A row of several units has "std" and "range" of their
-    means. If ``lost`` is set, the share of lost values is "lost", and the interval of this share "lost_ci95". If "ci95"
-    is over draws of constants, "sampled95" is the interval over units for the shipped constants.
+    A row over several runs has "runs", the mean of each run. With several units, "std" and "range" are those of the
+    units' means. If ``lost`` is set, the share of lost values is "lost", and the interval of this share "lost_ci95". If
+    "ci95" is over draws of constants, "sampled95" is the interval over units for the shipped constants.
     """
 
     def plain(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -55,11 +55,13 @@ def left_by_models(
         train: Rows that every model is fitted to.
         test: Held-out rows.
         rng: Random numbers for the learnt models.
-        terms: Parametric terms of each least-squares fit, by the name of the fit; values as for `Choices`.
-        learnt: Residual model that each learnt model adds to least squares, by the name of the learnt model.
+        terms: Parametric terms of each least-squares fit, such as "auto", by the name of the fit; values as for
+            `Choices`.
+        learnt: Residual model ("bpnn", "gp" and so on) that each learnt model adds to least squares, by the model's
+            name.
         epochs: Training epochs of the network of Qiao 2026; None trains the default network of `fit_remainder`.
         attitudes: Whether attitude residuals are learnt too.
-        choices: Further fields of `Choices`.
+        choices: Further fields of `Choices`, the settings of a calibration.
 
     Returns:
         Squared position errors of the held-out rows, m^2, by model; and the result of the fit with the last entry of
@@ -158,7 +160,7 @@ def left_of_blocks(
     Args:
         arm: The arm.
         rows: The rows, in the order in which they were measured.
-        number: Index of this set of rows; modulo 10 it is the index of the first held-out tenth.
+        number: Index of this set of rows, from 0; modulo 10 it is the index of the first held-out tenth.
         apart: Distance from the first held-out tenth to the second, in tenths of the rows.
         rng: Random numbers for the learnt models.
         models: Arguments of `left_by_models` that select the models.
@@ -251,7 +253,11 @@ def blocked_gains(
 def _left_on_design(
     rng: np.random.Generator, design: str, designs: Mapping[str, np.random.SeedSequence], joints: Array, arms: int
 ) -> list[dict[str, float]]:
-    """Return the RMS errors, mm, that models leave on each of ``arms`` arms of a plant; see `left_of_blocks`."""
+    """Return the RMS errors, mm, that models leave on each of ``arms`` arms drawn from the plant named ``design``.
+
+    Each dict has one error per model, by the model's name, as from `left_of_blocks`. ``designs`` and ``joints`` are the
+    arguments of `blocked_gains`, and ``rng`` is not used.
+    """
     plant, rng = load_plant(design), np.random.default_rng(designs[design])
     population = draw_plants(plant, load_tolerances("medium"), arms, rng)
     sets = ((number, simulated_tracker(plant_at(population, number), joints, rng)) for number in range(arms))

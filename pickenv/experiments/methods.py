@@ -79,7 +79,7 @@ def calibrate_arm(plant: Plant, method: str, plan: CalibrationPlan | None = None
         plant: The plant, that is the true arm with its errors.
         method: "ls", "ls_bpnn", "best", or "ls+" and the name of a registered residual model, such as "ls+rbf".
         plan: Settings of measurement and fit; a default `CalibrationPlan` if left out.
-        number: The arm's number in a population; every number has its own poses and noise.
+        number: The arm's index in a population, from 0; every index has its own poses and noise.
 
     Raises:
         InputError: If there is no such method, or the method is "raw".
@@ -109,9 +109,9 @@ def residual_of(method: str) -> str | None:
 
 
 def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
-    """Return package and version of a method's residual model (None without one), and the instrument.
+    """Return what results depend on besides the names of method and instrument, for hashes of inputs.
 
-    Results depend on both, but the names of method and instrument do not determine them.
+    These are two values: package and version of the method's residual model (None without one), and the instrument.
     """
     residual = residual_of(method)
     return None if residual is None else str(origin("residual", residual)), load_instrument(plan.instrument)
@@ -157,7 +157,7 @@ def compensators(
         folder: Folder in which calibrations are stored, as for `kept_calibration`; None stores none.
 
     Raises:
-        InputError: If there is no such method, or a stored calibration is damaged or that of another arm or plan.
+        InputError: If there is no such method, or a stored calibration is damaged or belongs to another arm or plan.
     """
     if method == "raw":
         return None

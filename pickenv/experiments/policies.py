@@ -67,8 +67,8 @@ class PolicySettings:
             several seeds.
         compensations: Methods as for `calibrate_arm`, and "raw".
         feedback: Kinds of feedback: "encoders" (open loop) and "camera".
-        plants: Plant presets, or rungs of the ladder such as "rung:orchard". A rung has a population of arms for
-            judging, and each seed takes other arms of it.
+        plants: Plant presets, or rungs such as "rung:orchard". A rung is a difficulty of the ladder of environments,
+            with a population of arms for judging. Each seed takes other arms from this population.
         grippers: Names of grippers.
         arms: Number of arms drawn for each plant and seed.
         episodes: Number of fruit per arm.
@@ -78,7 +78,7 @@ class PolicySettings:
         fruit_noise_mm: Standard deviation, per axis, of the fruit's position in the observation.
         plan: How arms are calibrated; each seed in ``seeds`` replaces the seed of the plan.
         canopies: Number of canopies that each picking policy clears with each arm and gripper, one after the other.
-        split: Arms of a rung: "test", on which policies are judged, or "train".
+        split: Arms that are taken from a rung: "test", on which policies are judged, or "train".
     """
 
     policies: tuple[str, ...] = ("scripted", "oracle", "servo", "adaptive")
@@ -140,17 +140,17 @@ class PolicySettings:
         return own | arms | (sight if own and feedback == "encoders" else {})
 
     def first_arm(self, plant: str, seed: int) -> int:
-        """Return the index of the first arm that a seed uses, within the population of arms.
+        """Return the index (from 0) of the first arm that a seed uses, within the population of arms.
 
-        All seeds share the population of a rung, and each uses other arms of it. A plant has a population per seed, so
-        its index is 0.
+        All seeds share the population of a rung, and each seed uses other arms from it. A plant preset has a population
+        for each seed, so the index is 0.
         """
         return self.levels("seeds").index(seed) * self.arms if plant.startswith(RUNG) else 0
 
     def population(self, plant: str, seed: int) -> Plant:
         """Return the arms on which a seed judges policies, as one plant whose parameters are arrays over arms.
 
-        These are the same arms that the environments draw.
+        The environments draw the same arms.
 
         Args:
             plant: Plant preset, or name of a rung of the ladder.
@@ -188,24 +188,25 @@ def run_policies(
         settings: The policies, compensations, plants and sizes of the comparison.
         folder: Folder in which rows are stored for later runs, or None.
         task: "reaching" runs every policy with every kind of feedback that it can use. "picking" runs each of
-            `PICKERS`, and every learned policy that picks or has a memory, on the canopies of `pickenv/Pick-v0`. Each
-            of these has the same plants and canopies, and runs one of its trainings per seed, in turn.
+            `PICKERS`, and every learned policy that picks or has a memory, on the canopies of `pickenv/Pick-v0`. All
+            these policies have the same plants and canopies. A policy with several trainings runs one of them per seed,
+            in turn.
         cache: Folder in which calibrations are stored for later runs. If None, it is the folder "calibrations" in
             ``folder``; if ``folder`` is None too, no calibration is stored.
         backend: Backend that computes the pieces, as for `pickenv.experiments.run`.
         workers: Number of processes.
-        progress: Called with (stage, done, total).
+        progress: Called with (name of the present experiment, pieces done, total number of pieces).
         fits: Function that returns whether a combination is measured, called with plant, compensation, policy, seed and
             so on by name.
 
     Returns:
-        For reaching, one row per episode. It has plant, compensation, feedback, policy, seed, and training (the index
-        of the training, from 0). ``learned`` says whether the policy was learned. ``arm`` is the index of the arm,
-        which differs between seeds, and ``episode`` the index of the episode with this arm. ``error_mm`` and
-        ``attitude_deg`` are the errors at the end. ``way_mm`` is the position error after each step (NaN after the end
-        of the episode). ``cycle_steps`` is the number of steps until the tool stays within `CYCLE_MM` of the fruit (NaN
-        if it never does). ``chance_NAME`` is the probability that gripper NAME takes the fruit. The fields of
-        `pickenv.agents.Reaches` are columns, too.
+        For reaching, one row per episode. A row has plant, compensation, feedback, policy, seed, and training (the
+        index of the training, from 0). ``learned`` says whether the policy was learned. ``arm`` is the index of the arm
+        among those of all seeds, and ``episode`` that of the episode with this arm, both from 0. ``error_mm`` and
+        ``attitude_deg`` are the errors at the end. ``way_mm`` is an array, the position error after each step (NaN
+        after the end of the episode). ``cycle_steps`` is the number of steps until the tool stays within `CYCLE_MM` of
+        the fruit (NaN if it never does). ``chance_NAME`` is the probability that gripper NAME takes the fruit. The
+        fields of `pickenv.agents.Reaches` are columns, too.
 
         For picking, one row per arm, gripper and training, over all canopies. ``attempted`` is the number of grasps,
         ``collected`` the number of fruit collected undamaged, and ``duration_s`` the time, s. Two columns are sums over
@@ -229,7 +230,7 @@ def run_policies(
 
 
 def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) -> Experiment:
-    """Return an experiment that calibrates the arms of ``experiment``, and stores each calibration in ``kept``."""
+    """Return an experiment that calibrates the arms of ``experiment``; the folder ``kept`` gets the calibrations."""
     populations = {tuple(levels[name] for name in BEHIND) for levels, _ in experiment.pieces()}
     return Experiment(
         f"calibrations, {experiment.name}",
@@ -253,9 +254,10 @@ def _calibrated(settings: PolicySettings, kept: Path, *, plant: str, seed: int, 
 def _inputs(
     settings: PolicySettings, kinds: Mapping[str, Kind], *, plant: str, policy: str, seed: int, **levels: Any
 ) -> tuple[Any, ...]:
-    """Return the inputs, besides its levels, that the rows of a piece depend on.
+    """Return everything that the rows of one piece depend on, except the piece's levels of units and factors.
 
-    Other policies and seeds of the comparison are not among these inputs.
+    Other policies and seeds of the comparison are left out. ``kinds`` has the properties of each policy by name. All
+    arguments after ``kinds`` are the piece's levels.
     """
     learned = kinds[policy].files if policy in kinds else ()
     files = [path for name in learned for path in (Path(name), BASELINES / f"{name}.npz") if path.is_file()]
@@ -313,7 +315,10 @@ def _trainings(kinds: Mapping[str, Kind]) -> range:
 
 
 def _entrant(name: str) -> Kind:
-    """Return the properties of a policy; the feedback that a foreign policy can use is found by trying."""
+    """Return the properties of the policy ``name`` as an entrant of the comparison.
+
+    If several kinds of feedback are possible, the policy is run once with each; refused kinds are left out.
+    """
     kind, able, refusal = kind_of(name), [], ""
     if kind.picks:
         maker_of(name)  # refuses it
@@ -335,7 +340,11 @@ def _reaches(
     settings: PolicySettings, kinds: Mapping[str, Kind], kept: Path, *, rng: np.random.Generator, plant: str,
     compensation: str, feedback: str, policy: str, seed: int, training: int,
 ) -> Columns:  # fmt: skip
-    """Run the episodes of one policy, and return their columns; ``rng`` is not used."""
+    """Run the episodes of one policy, and return their columns; ``rng`` is not used.
+
+    ``kinds`` has the properties of each policy by name, and ``kept`` is the folder of calibrations. All arguments after
+    ``rng`` are levels of units and factors; ``training`` is the index of the training, from 0.
+    """
     kind, population = kinds[policy], settings.population(plant, seed)
     world = settings.world(plant, seed, feedback)
     noise = float(np.hypot(world["camera_noise_mm"] or settings.camera_noise_mm, world["fruit_noise_mm"]))
@@ -369,7 +378,7 @@ def _reaches(
 def reaches_in(rows: Rows) -> Reaches:
     """Return the final states of the episodes on one plant, from the rows of `run_policies` for reaching.
 
-    Joints whose command is not finite in every row are left out.
+    A joint is left out if its command is not finite in some row.
     """
     columns: dict[str, Any] = {attribute.name: rows[attribute.name] for attribute in fields(Reaches)}
     commands = rows["joint_command"]
@@ -402,7 +411,11 @@ def _picking(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) ->
 
 
 def _picker(policy: str, kinds: Mapping[str, Kind], training: int) -> tuple[Callable[[Any], Policy], str]:
-    """Return a function that makes a picking policy for an environment, and the environment's feedback."""
+    """Return a function that makes a picking policy for an environment, and the feedback "gripper" or "encoders".
+
+    The environment must give this feedback. ``kinds`` has the properties of each policy by name. ``training`` is the
+    index, from 0, of the training of a learned policy.
+    """
     if policy in PICKERS:
         return PICKERS[policy], "gripper" if policy == "adaptive" else "encoders"
     learned = load_any(kinds[policy].files[training])
@@ -418,7 +431,8 @@ def _picks(
     """Return the results of one picking policy with each arm of a seed, over all canopies of the arm.
 
     A policy that learns from the fruit in its gripper meets an arm's canopies one after the other. Any other policy
-    meets all canopies of all arms side by side.
+    meets all canopies of all arms at once. The arguments are as for `_reaches`, and ``gripper`` is the name of a
+    gripper.
     """
     first, arms = settings.first_arm(plant, seed), np.arange(settings.arms)
     world = settings.world(plant, seed, task="Pick") | {"arms": "per_episode", "population": first + settings.arms}

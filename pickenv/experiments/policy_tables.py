@@ -69,7 +69,7 @@ def estimates(rows: Rows, value: str, of: str | float = "mean", by: Sequence[str
 
 
 def cell_of(rows: Rows, key: Sequence[Any], by: Sequence[str] = CELL) -> Rows:
-    """Return the rows in which the columns ``by`` have the values ``key``, in the same order."""
+    """Return the rows in which each column in ``by`` has the value at the same place in ``key``."""
     return rows.where(**dict(zip(by, key, strict=True)))
 
 
@@ -82,7 +82,7 @@ def evaluation_content(settings: PolicySettings, rows: Rows) -> dict[str, Any]:
 
 
 def evaluation_rows(settings: PolicySettings, rows: Rows) -> list[dict[str, Any]]:
-    """Return one row of numbers for each policy × compensation × feedback × plant × gripper.
+    """Return one dictionary of numbers for each combination of policy, compensation, feedback, plant and gripper.
 
     Args:
         settings: What was compared.
@@ -127,9 +127,9 @@ def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
         rows: The episodes, from `run_policies`.
 
     Returns:
-        One row for each policy, feedback, plant and pair of compensations; in the rows of ``rows``, "from" comes before
-        "to". "difference_mm" is the mean error with "to" minus that with "from". "ci95" is the 95 % interval of the
-        difference, and "significant" whether it differs from zero.
+        One dictionary for each policy, feedback, plant and pair of compensations. The compensation that appears first
+        in ``rows`` is "from", and the other one is "to". "difference_mm" is the mean error with "to" minus that with
+        "from". "ci95" is the 95 % interval of the difference, and "significant" whether it differs from zero.
     """
     steps, names = [behind for (behind,) in rows.levels("compensation")], ("policy", "feedback", "plant")
     pairs = {}
@@ -186,7 +186,7 @@ def nearest_words(rows: Sequence[Mapping[str, Any]], comparisons: Sequence[Mappi
 
 
 def pivoted(rows: Sequence[Mapping[str, Any]], shares: bool = False) -> tuple[list[str], list[list[str]]]:
-    """Return the column heads and the lines of cells of a table that has a column for each compensation.
+    """Return the column heads and the lines of cells (texts) of a table that has a column for each compensation.
 
     Args:
         rows: Rows of `evaluation_rows`.
@@ -201,12 +201,15 @@ def pivoted(rows: Sequence[Mapping[str, Any]], shares: bool = False) -> tuple[li
 
 
 def _interval(row: Mapping[str, Any], sign: str = "") -> str:
-    """Return a row's 95 % interval as text, mm, or the reason why it has none."""
+    """Return a row's 95 % interval as text, mm, or the reason why the row has none.
+
+    With ``sign`` "+", positive numbers have a sign too.
+    """
     return between(row["ci95"][0], row["ci95"][1], 3, sign) if row["ci95"] else f"none: {row['no_interval']}"
 
 
 def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return the difference, its interval and its significance as texts, from a row of `compensations_compared`."""
+    """Return difference, interval and significance as texts, from a row ``line`` of `compensations_compared`."""
     return (
         f"{line['difference_mm']:+.3f}",
         _interval(line, "+"),
@@ -330,7 +333,10 @@ def aggregate_figure(rows: Rows) -> Figure:
 
 
 def success_curves(rows: Rows, plant: str) -> Figure:
-    """Draw the success of each gripper against lateral error, and the scripted policy as points on these curves."""
+    """Draw the success of each gripper against lateral error, and the scripted policy as points on these curves.
+
+    The points are the scripted policy's mean error and share of successes on ``plant``, one for each compensation.
+    """
     scripted = rows.where(policy="scripted", plant=plant)
     errors = estimates(scripted, "error_mm")
     grippers = tuple(name.removeprefix("chance_") for name in rows.columns if name.startswith("chance_"))
@@ -390,7 +396,7 @@ PICK_BEHIND = ("raw", "ls")
 
 
 def rungs(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of rungs with the prefix `RUNG`; "all" stands for every rung of the leaderboard."""
+    """Return the names of rungs (difficulties of the ladder) with the prefix `RUNG`; "all" stands for every rung."""
     return tuple(plant for name in names for plant in (LEADERBOARD.plants if name == "all" else [f"{RUNG}{name}"]))
 
 
@@ -404,7 +410,7 @@ def trained(folder: Path, seeds: range, recipes: Sequence[str], **how: Any) -> t
         how: Further arguments of `pickenv.experiments.run`, such as the backend.
 
     Raises:
-        InputError: If the folder holds trainings of other seeds, which would be judged too.
+        InputError: If the folder holds trainings of seeds that are not in ``seeds``, since they would be judged too.
     """
     for name in recipes:
         others = {path.parent.name for path in (folder / name).glob("*/policy.npz")} - set(map(str, seeds))
@@ -436,7 +442,7 @@ def run_leaderboard(
         settings: The policies, compensations, plants and sizes of the leaderboard.
         folder: Folder in which trainings, calibrations and rows are stored.
         trainings: Number of trainings of each recipe, whose policies are judged besides those of ``settings``; 0 trains
-            none. Their seeds begin with the first of ``settings``.
+            none. The seeds of the trainings are consecutive and begin with the first seed of ``settings``.
         learned: Names of the `RECIPES` that are trained; all if empty. Without canopies no policy is trained to pick.
         how: Further arguments of `run_policies`, such as the backend.
 
@@ -489,7 +495,7 @@ def _worth_judging(compensation: str, feedback: str, **levels: Any) -> bool:
 def distance_within(cell: Rows, share: float) -> Estimate:
     """Estimate the distance from the fruit within which a share of the reaches end, mm.
 
-    The distance is computed for each arm and training, and averaged over them.
+    The distance is computed for each arm with each training, and averaged over arms and trainings.
 
     Args:
         cell: Episodes of one policy with one compensation, feedback and plant.
@@ -502,7 +508,7 @@ def distance_within(cell: Rows, share: float) -> Estimate:
 
 
 def picking_rows(rows: Rows) -> list[dict[str, Any]]:
-    """Return one row of numbers per picking policy, compensation, plant and gripper.
+    """Return one dictionary of numbers per picking policy, compensation, plant and gripper.
 
     Intervals are over arms, each with one training.
 
@@ -534,7 +540,7 @@ def picking_rows(rows: Rows) -> list[dict[str, Any]]:
 def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], list[list[str]]]]:
     """Return the column heads and the lines of cells of each table of the leaderboard, by its title.
 
-    Each plant has a table for each task. Two further tables list the single trainings of the policies with several.
+    Each plant has a table for each task. For policies with several trainings, two further tables list every training.
 
     Args:
         board: Result of `run_leaderboard`.
@@ -580,7 +586,10 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
 
 
 def _by_policy(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Mapping[str, Any]]]:
-    """Return one mapping per policy and feedback, from compensation to row, sorted by the mean error on raw arms."""
+    """Return one mapping per policy and feedback, from the name of a compensation to the row with this compensation.
+
+    The ``rows`` are those of `evaluation_rows`. The mappings are sorted by the mean error on raw arms.
+    """
     policies: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
     for row in rows:
         policies.setdefault((row["policy"], row["feedback"]), {})[row["compensation"]] = row
@@ -594,7 +603,7 @@ def _percent(share: float, ends: Sequence[float | None] | None) -> str:
 def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Return the column heads and the lines of cells of a short table: one line per policy, one column per rung.
 
-    A cell has two mean errors, mm: on raw arms, and after a slash with the last compensation.
+    A cell has two mean errors, mm: on raw arms, and after a slash with the last compensation in the policy's rows.
 
     Args:
         board: Result of `run_leaderboard`.

@@ -31,12 +31,14 @@ NOTE = TEXTS["explained"]["measured_robots"]
 def bench_json(settings: BenchSettings, gains: Gains, models: Rows, skipped: Mapping[str, str]) -> dict[str, Any]:
     """Return all results of `run_bench` as a mapping for JSON; None stands for a number that does not exist.
 
-    "rows" has one entry per data set, split and model; "row" is its name in `ROWS`. "split" is "random" or "blocks",
-    that is contiguous parts, and "rows" the number of rows, each held out once. Their RMS position error is
-    "held_out_mm" with the model, and "nominal_mm" with the nominal arm, base and tool fitted. "measured_reduction" is
-    the fraction by which "held_out_mm" is below the error of the model that "before" names; "ci95" is the fraction's
-    interval. "predicted_reduction" is the mean of this fraction over arms drawn from twins, and "predicted_ci95" the 95
-    % interval for one more drawn arm.
+    The ``gains``, ``models`` and ``skipped`` (reasons why rows of the table were not computed) are from `run_bench`.
+
+    "rows" has one entry per data set, split and model; "row" is the entry's name in `ROWS`. "split" is "random" or
+    "blocks", that is contiguous parts. An entry's "rows" is the number of readings, each held out once. The RMS
+    position error of these readings is "held_out_mm" with the model, and "nominal_mm" with the nominal arm, base and
+    tool fitted. "measured_reduction" is the fraction by which "held_out_mm" is below the error of the model that
+    "before" names; "ci95" is the fraction's interval. "predicted_reduction" is the mean of this fraction over arms
+    drawn from twins, and "predicted_ci95" the 95 % interval for one more drawn arm.
 
     "models" is the table of measured robots. Each entry has one error "value_mm", the ends of its spread "low_mm" and
     "high_mm", and in "used" the parts of the best model.
@@ -54,7 +56,7 @@ def blocked_json(gains: Gains, folds: int, made: str) -> dict[str, Any]:
     """Return the shares of the error that models remove on held-out contiguous rows, in the format of `measured_gains`.
 
     Args:
-        gains: The gains.
+        gains: The gains, from `run_bench`.
         folds: Number of folds that the gains were computed from.
         made: The date on which the gains were computed.
     """
@@ -71,9 +73,9 @@ def blocked_json(gains: Gains, folds: int, made: str) -> dict[str, Any]:
 
 
 def _model_json(row: dict[str, Any]) -> dict[str, Any]:
-    """Return one number of the table of measured robots as a JSON row; without an interval, its ends are None.
+    """Return a row of `model_errors` as an entry of "models" in `bench_json`; the ends of a missing interval are None.
 
-    The row is empty if the model is "best" and only geometry was fitted.
+    The entry is empty if the model is "best" and only geometry was fitted.
     """
     spread = SPREAD[row["row"]]
     if row["model"] == "best" and spread.terms == "none":
@@ -96,14 +98,15 @@ def agreement(gains: Gains) -> dict[str, Any]:
     further data sets of the same robot are left out of this mean.
 
     Args:
-        gains: The gains.
+        gains: The gains, from `run_bench`.
 
     Returns:
-        A mapping for JSON. "sets" is the number of data sets, "gains" that of gains. "models" has one entry per model:
-        the number of data sets "robots", and distances from the measured gains in percentage points. "median_points"
-        and "worst_points" are those of the twins' predictions. "null_median_points" and "null_worst_points" are those
-        of the null prediction, None if there is only one robot. "learnt_on_blocks" is the number of gains of learnt
-        residuals. "sign_right" is the share of these gains whose sign the twins predict correctly.
+        A mapping for JSON. "sets" is the number of data sets, and "gains" the number of gains. "models" has one entry
+        per model: "robots", the number of data sets, and distances from the measured gains in percentage points.
+        "median_points" and "worst_points" are those of the twins' predictions. "null_median_points" and
+        "null_worst_points" are those of the null prediction, None if there is only one robot. "learnt_on_blocks" is the
+        number of gains of learnt residuals. "sign_right" is the share of these gains whose sign the twins predict
+        correctly.
     """
     blocks = [gain for gain in gains if gain["split"] != "random"]
     models = []
@@ -136,7 +139,10 @@ def agreement(gains: Gains) -> dict[str, Any]:
 
 
 def agreement_words(gains: Gains, settings: BenchSettings) -> str:
-    """Return a few sentences on how well gains were predicted; an empty text if no gains were computed."""
+    """Return a few sentences on how well gains were predicted; an empty text if no gains were computed.
+
+    The ``gains`` are from `run_bench`, which was run with ``settings``.
+    """
     if not gains:
         return ""
     used = {
@@ -152,7 +158,7 @@ def agreement_words(gains: Gains, settings: BenchSettings) -> str:
 
 
 def points_words(found: Mapping[str, Any]) -> str:
-    """Return the numbers of `agreement` as sentences; an empty text if there are no gains on contiguous rows."""
+    """Return ``found``, the result of `agreement`, as sentences; an empty text if no gains are on contiguous rows."""
     if not found["gains"]:
         return ""
     medians: list[str] = []
@@ -176,7 +182,10 @@ def points_words(found: Mapping[str, Any]) -> str:
 
 
 def gain_cells(gains: Gains, folds: int) -> list[tuple[str, ...]]:
-    """Return the cells of the table of predicted and measured error reductions, line by line."""
+    """Return the cells of the table of predicted and measured error reductions, one tuple per line.
+
+    The ``gains`` are from `run_bench`, and ``folds`` is the number of folds that they were computed from.
+    """
     cells: list[tuple[str, ...]] = []
     held_out = HELD if folds == 5 else HELD | {"random": f"{folds} random parts"}
     for gain in gains:
@@ -190,7 +199,10 @@ def gain_cells(gains: Gains, folds: int) -> list[tuple[str, ...]]:
 
 
 def csv_files(gains: Gains, models: Rows, folds: int) -> dict[str, str]:
-    """Return the tables of gains and of measured robots as CSV texts, by file name; an empty table is left out."""
+    """Return the tables of gains and of measured robots as CSV texts, by file name; an empty table is left out.
+
+    The ``gains`` and ``models`` are from `run_bench`, and ``folds`` is its number of folds.
+    """
     tables = {GAINS_FILE: (GAIN_HEADS, gain_cells(gains, folds)), ROBOTS_FILE: (SPREAD_HEADS, spread_cells(models))}
     texts: dict[str, str] = {}
     for name, (heads, rows) in tables.items():
@@ -201,7 +213,7 @@ def csv_files(gains: Gains, models: Rows, folds: int) -> dict[str, str]:
 
 
 def spread_cells(models: Rows) -> list[tuple[str, ...]]:
-    """Return the cells of the table of measured robots, line by line, from the numbers of `run_bench`."""
+    """Return the cells of the table of measured robots, one tuple per line, from the numbers of `run_bench`."""
     table: list[tuple[str, ...]] = []
     for (name,) in models.levels("row"):
         nominal, ls, best = models.where(row=name).dicts()
@@ -215,6 +227,9 @@ def spread_cells(models: Rows) -> list[tuple[str, ...]]:
 
 
 def _millimetres(model: dict[str, Any]) -> str:
-    """Return a value with its spread in brackets as text, mm: three decimals below 1 mm, else two."""
+    """Return the error in a row of `model_errors` as text, mm, with its spread in brackets.
+
+    Errors below 1 mm have three decimals, larger errors two.
+    """
     value = model["value_mm"]
     return said(value, None if np.isnan(model["low_mm"]) else _ends(model), 3 if value < 1.0 else 2)

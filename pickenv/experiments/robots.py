@@ -36,12 +36,12 @@ class RealSet:
     Attributes:
         robot: Name of the robot in tables.
         arm: Arm name or file; {} stands for the folder of the data sets.
-        columns: Column description.
+        columns: Description of the files' columns: a name, or a path.
         files: Glob pattern of the files of measured rows, below the folder of the data sets.
         poses: Glob pattern of the files of separate test poses; empty if there are none.
         published: Mean error that others published, mm: at the test poses, or at the rows if there are no test poses.
-        twinned: Whether twins and learnt residuals are computed from this set. They need poses or positions, and enough
-            for five folds.
+        twinned: Whether twins and learnt residuals are computed from this set. The set needs poses or positions for
+            this, and enough rows for five folds.
     """
 
     robot: str
@@ -121,7 +121,7 @@ class BenchSettings:
 
     @staticmethod
     def quick() -> BenchSettings:
-        """Return settings of a small bench: with the rows of the UR5 it takes about a minute."""
+        """Return settings of a small bench, which takes about a minute for the rows of the UR5."""
         return BenchSettings(rows=160, folds=2)
 
 
@@ -133,15 +133,15 @@ def fold_errors(
     Args:
         rng: Not used; random numbers depend on the seed in ``settings``, on ``row`` and on ``fold``.
         row: Name of a row of the bench's table, a key of `GAINS`. It selects a data set and a kind of split.
-        fold: Index of the fold, from 0.
+        fold: Index of the fold (the part of the rows that is held out), from 0.
         settings: Sizes of the computation, and its seed.
         data: Folder of the data sets.
 
     Returns:
         Columns with one entry per arm and held-out row. "drawn" is 0 for the measured arm, else the number of the drawn
-        arm, from 1. "at" is the index of the held-out row. Each model has a column of its squared errors, m^2. Three
-        columns have the same number everywhere: "refused" (drawn arms that could not be calibrated), "rows" (rows of
-        all folds) and "rows_in_file".
+        arm, from 1. "at" is the index of the held-out row, from 0. Each model has a column of its squared errors, m^2.
+        Three columns have the same number everywhere: "refused" (drawn arms that could not be calibrated), "rows" (rows
+        of all folds) and "rows_in_file".
     """
     name, split = GAINS[row]
     arm, rows, _ = SETS[name].load(data)
@@ -171,7 +171,7 @@ def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
 def folds_of(
     poses: RowNumbers, split: str, folds: int, rng: np.random.Generator
 ) -> list[tuple[RowNumbers, RowNumbers]]:
-    """Split rows into folds; return for each fold the indices of the rows to fit, and of the held-out rows.
+    """Split rows into folds; return for each fold the indices, from 0, of the rows to fit, and of the held-out rows.
 
     Args:
         poses: Index of the pose of each row ``(N,)``; rows of one pose stay in one fold.
@@ -189,14 +189,14 @@ def judged_fold(
 ) -> tuple[list[Squares], int]:
     """Calibrate the measured arm, and arms drawn from its twin, on the fitted rows; judge them on the held-out rows.
 
-    The twin is made from the fitted rows alone. Arms are drawn from the posterior of its geometry, parametric terms and
-    remaining errors, with the measured arm's own scatter. They are measured at the same joints with the instrument's
-    scatter. An arm at the posterior mean would make every model look too good.
+    The twin is made from the fitted rows alone. Arms are drawn from the posterior of the twin's geometry, parametric
+    terms and remaining errors, with the scatter of the measured arm. The drawn arms are measured at the same joints
+    with the instrument's scatter. An arm at the posterior mean would make every model look too good.
 
     Args:
         arm: The arm.
         data: The measured rows of the arm.
-        rows: Indices of the fitted rows, and indices of the held-out rows.
+        rows: Indices, from 0, of the fitted rows, and of the held-out rows.
         draws: Number of arms drawn from the twin.
         seed: Seed of all random numbers.
 
@@ -237,8 +237,8 @@ class SpreadRow:
         name: Name of the robot's data set in `SETS`.
         how: Held-out rows: "random" (of random splits), "blocks" (each contiguous part of the rows in turn), or "poses"
             (separate test poses).
-        terms: Parametric terms of the best model, with the values of `Choices`.
-        residual: Residual model of the best model, with the values of `Choices`.
+        terms: Parametric terms of the best model, "none" or as for `Choices`.
+        residual: Residual model of the best model, "none" or as for `Choices`.
         statistic: Statistic of the position errors: "rms" or "mean".
         remark: Remark beside the best model.
     """
@@ -257,7 +257,7 @@ class SpreadRow:
 
     @property
     def published(self) -> float | None:
-        """Published mean error, mm; None if it is for other held-out rows than those of this row of the table.
+        """Published mean error, mm; None if it was published for other held-out rows, or not at all.
 
         A published error is for the separate test poses if the data set has some, else for random splits of the rows.
         """
@@ -269,7 +269,7 @@ SPREAD = {name: SpreadRow(**entry) for name, entry in TABLES["rows"].items()}
 
 
 def model_errors(rng: np.random.Generator, row: str, settings: BenchSettings, data: Path) -> list[dict[str, Any]]:
-    """Return the errors of nominal arm, least squares and best model, one mapping each, mm.
+    """Return the errors of nominal arm, least squares and best model, mm, as one mapping per model.
 
     Over random splits, "value_mm" is the mean error, and "low_mm" and "high_mm" are the smallest and the largest.
     Otherwise "low_mm" and "high_mm" are the ends of the 95 % interval, NaN if there is none.
@@ -306,7 +306,8 @@ def model_errors(rng: np.random.Generator, row: str, settings: BenchSettings, da
 def _stated(statistic: str, result: Result) -> Array:
     """Return the errors of nominal, geometric and best model, mm, each with the ends of its 95 % interval.
 
-    The result ``(3, 3)`` has one row per model. Ends are NaN if there is no interval.
+    The result ``(3, 3)`` has one row per model: error, lower and upper end. Ends are NaN if there is no interval. The
+    ``statistic`` of the position errors is "rms" or "mean".
     """
     models = [result.position[name] for name in (NOMINAL, GEOMETRIC, list(result.position)[-1])]
     return np.array(
@@ -331,13 +332,13 @@ def run_bench(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> tuple[list[dict[str, Any]], Rows, dict[str, str]]:
-    """Compute the given rows of the bench; an interrupted run continues.
+    """Compute rows of the bench's tables; an interrupted run continues.
 
     Args:
-        rows: Names from `ROWS`.
+        rows: Names of rows of the bench's tables, from `ROWS`.
         settings: Sizes of the computations, and the seed.
         data: Folder of the data sets.
-        out: Folder for results.
+        out: Folder for results, with a subfolder for each of the two experiments.
         workers: Number of processes.
         progress: Called with (name of the experiment, pieces done, total number of pieces).
 
@@ -382,7 +383,7 @@ def _set_of(row: str) -> RealSet:
 
 
 def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[Any, ...]:
-    """Return the inputs, besides the code, that the results of a row of the bench depend on."""
+    """Return the inputs, besides the code, that the results for ``row`` (a name in `ROWS`) depend on."""
     files = [file_sha256(path) for paths in _set_of(row).paths(data) for path in paths]
     return (settings, _set_of(row), SPREAD.get(row), files)
 
@@ -390,9 +391,9 @@ def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[An
 def gains_of(folds: Rows) -> list[dict[str, Any]]:
     """Compute the predicted and the measured gain of every model, as rows of the JSON file (see `bench_json`).
 
-    A gain is the share of the RMS error that a model removes. All intervals are at 95 %. The interval of a measured
-    gain is over rows if the folds are random. If they are contiguous, it is over ten contiguous parts of the rows,
-    since neighbouring rows are alike. The interval of a predicted gain is for the gain of one more drawn arm.
+    A gain is the share of the RMS error that a model removes. All intervals are at 95 %. With random folds, the
+    interval of a measured gain is over rows. With contiguous folds, it is over ten contiguous parts of the rows, since
+    neighbouring rows are alike. The interval of a predicted gain is for the gain of one more drawn arm.
 
     Args:
         folds: Rows of `fold_errors` for all folds of one data set, split in one way.
@@ -424,12 +425,13 @@ def gains_of(folds: Rows) -> list[dict[str, Any]]:
 
 
 def _interval(pairs: Array, split: str) -> Ends | None:
-    """Return the 95 % interval of the share of the RMS error that a model removes, or None.
+    """Return the 95 % interval of the share of the RMS error that a model removes; None with too few rows.
 
-    It is computed on the logarithm of the remaining share, which is less skewed.
+    The interval is computed for the logarithm of the remaining share, which is less skewed than the share.
 
     Args:
-        pairs: Squared errors after and before ``(n, 2)``, m^2, of random rows or of contiguous blocks in order.
+        pairs: Squared errors with the model, and with the reference model, ``(n, 2)``, m^2, of random rows or of
+            contiguous parts in order.
         split: "random" or "blocks".
     """
     ends = statistic_interval(pairs, lambda some: 0.5 * np.log(np.divide(*some.sum(axis=0))), ordered=split == "blocks")
@@ -440,8 +442,8 @@ def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
     """Compute the mean gain of drawn arms, and the 95 % prediction interval for the gain of one more drawn arm.
 
     Each fold has a twin of its own, from which arms are drawn independently. To first order in the squared errors, the
-    variance of the gain is therefore the sum, over folds, of the variance between the arms of a fold's twin. It has
-    folds * (draws - 1) degrees of freedom.
+    variance of the gain is therefore the sum, over folds, of the variance between the arms of a fold's twin. This
+    variance has folds * (draws - 1) degrees of freedom.
 
     Args:
         after: Sums of squared errors that the model leaves ``(folds, draws)``, m^2.

@@ -103,7 +103,7 @@ class Setting:
         noise_mm: Standard deviation of the tracker's positions, mm; 0 without calibration.
         noise_deg: Standard deviation of the tracker's attitudes, deg; 0 without calibration.
         payload_kg: Mass held at the tool while picking, kg; during calibration it is the plant's own payload.
-        method: One of `METHODS`.
+        method: Method of calibration: "raw" (none), "ls", or "ls+" and a residual model, as in `METHODS`.
     """
 
     number: int
@@ -116,7 +116,7 @@ class Setting:
     method: str
 
     def columns(self) -> dict[str, Any]:
-        """Return the columns that identify this setting, by name."""
+        """Return the columns that identify this setting in the rows of a study, as a dictionary from name to value."""
         return dict(zip(SETTING, astuple(self), strict=True))
 
     @property
@@ -145,15 +145,16 @@ class StudyConfig:
         chunk: Number of arms that are computed and stored together.
         fruit: Number of fruit M that every arm reaches for.
         payload_kg: Masses held at the tool while picking, kg.
-        radius_mm: An arm gets a fruit when its tool ends within this distance of the fruit, mm.
-        share: An arm is within specification when it gets at least this share of its fruit, from 0 to 1.
+        radius_mm: A fruit counts as reached if the tool ends within this distance of the fruit, mm.
+        share: An arm is within specification if it reaches at least this share of its fruit, from 0 to 1.
         tolerances: Tolerance classes, by name or path.
         it_grades: ISO 286-1 grades of the lengths, in place of the grade of each class; None keeps the class's grade.
-        methods: Methods of calibration, of `METHODS`.
-        poses: Numbers of calibration poses.
-        noise: Standard deviations of the tracker's readings. They include its errors of range and of centring.
-        instrument: Instrument that measures the arms, which also gives the waiting time before each reading; a name of
-            `pickenv.arm.load_instrument`, or a path.
+        methods: Methods of calibration, each "raw" (none), "ls", or "ls+" and a residual model, as in `METHODS`.
+        poses: Numbers of calibration poses that are compared.
+        noise: Standard deviations of the tracker's readings. They include the tracker's errors of range and of
+            centring.
+        instrument: Instrument that measures the arms: a name of `pickenv.arm.load_instrument`, or a path. It also gives
+            the waiting time before each reading.
         residual_poses: Number of further poses for a learnt residual.
     """
 
@@ -175,10 +176,10 @@ class StudyConfig:
     instrument: Annotated[str, INSTRUMENT, IN_CALIBRATION] = TRACKER
 
     def settings(self) -> tuple[Setting, ...]:
-        """Return all settings by number: populations vary slowest, then calibrations, and payloads fastest.
+        """Return all settings in the order of their numbers: populations vary slowest, payloads fastest.
 
-        The method "raw", which does not calibrate, has a single setting per population and payload: with 0 poses and no
-        noise.
+        Calibrations (method, poses, noise) vary in between. The method "raw", which does not calibrate, has a single
+        setting per population and payload: with 0 poses and no noise.
         """
         classes = self.load_tolerances().items()
         populations = [
@@ -196,11 +197,11 @@ class StudyConfig:
         )
 
     def chunks(self) -> range:
-        """Return the indices of all chunks (arms that are computed and stored together)."""
+        """Return the indices, from 0, of all chunks (arms that are computed and stored together)."""
         return range(-(-self.arms // self.chunk))
 
     def arms_of(self, chunk: int) -> range:
-        """Return the numbers of the arms in a chunk, given the chunk's index."""
+        """Return the numbers, from 0, of the arms in a chunk, given the chunk's index, from 0."""
         return range(chunk * self.chunk, min((chunk + 1) * self.chunk, self.arms))
 
     def quick(self) -> StudyConfig:
@@ -211,8 +212,8 @@ class StudyConfig:
         """Load the plant that arms are drawn from, that is the nominal arm with its effects.
 
         Raises:
-            InputError: If there is no such plant, its file has a refused value, or it has no link masses although a
-                payload is above 0.
+            InputError: If there is no such plant, its file has a refused value, or the plant has no link masses
+                although a payload is above 0.
         """
         plant = load_plant(self.plant)
         if plant.load is None and any(self.payload_kg):
@@ -296,8 +297,8 @@ class Circumstances:
         number: Number of the arm in its population, from 0.
         fruit: Joints with which the nominal arm reaches each of the M fruit ``(M, n)``, rad or m.
         poses: Joints of the calibration poses ``(P, n)``, rad or m, from a Halton sequence. P is the largest number of
-            poses of any setting; a setting with fewer uses the first ones.
-        tracker: Standard normal draws for the tracker's errors at these poses, and for the arm's friction.
+            poses of any setting; a setting with fewer poses uses the first of them.
+        tracker: Standard normal draws for the tracker's errors at the calibration poses, and for the arm's friction.
     """
 
     number: int
@@ -342,13 +343,13 @@ class Protocol:
         return [list(group) for _, group in groups]
 
     def draw(self, setting: Setting, arms: range) -> Plant:
-        """Draw the arms with the numbers ``arms`` from a setting's population, as one plant with arrays over arms."""
+        """Draw the arms with the numbers ``arms``, from 0, of a setting's population, as one plant."""
         parent = np.random.SeedSequence(self.config.seed, spawn_key=(ARM_STREAM,), n_children_spawned=arms.start)
         tolerances = replace(self.tolerances[setting.tolerances], it_grade=setting.it_grade)
         return draw_plants(self.design, tolerances, len(arms), np.random.default_rng(parent))
 
     def circumstances(self, arm: int) -> Circumstances:
-        """Return fruit, calibration poses and tracker errors of the arm with this number.
+        """Return fruit, calibration poses and tracker errors of the arm with the number ``arm``, from 0.
 
         Raises:
             InputError: If too few random joint vectors hold the tool of the nominal arm upright.
@@ -371,13 +372,13 @@ class Protocol:
 
         Args:
             purpose: `TRACKER_STREAM`, `FRUIT_STREAM`, `POSES_STREAM` or `RESIDUAL_STREAM`.
-            arm: The arm's number.
+            arm: The arm's number, from 0.
         """
         return np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(purpose, arm)))
 
 
 def prepared_study(config: StudyConfig) -> Protocol:
-    """Load everything that a study needs, and check on a few arms that fruit exist and poses suffice for a calibration.
+    """Load everything that a study needs, and check a few arms: fruit must exist, and poses suffice for a calibration.
 
     Raises:
         InputError: If a plant, instrument or tolerance class does not exist, or its file has a refused value. Also if
@@ -396,7 +397,7 @@ def prepared_study(config: StudyConfig) -> Protocol:
 
 
 def measured(protocol: Protocol, arm: Plant, setting: Setting, around: Circumstances) -> Measurements:
-    """Simulate the readings of the setting's tracker at the calibration poses of the true arm ``arm``."""
+    """Simulate the setting's tracker, which reads the true arm ``arm`` at the calibration poses in ``around``."""
     instrument, poses = protocol.instrument(setting), setting.poses
     return tracked(arm, instrument, around.poses[:poses], around.tracker.first(poses))
 
@@ -407,14 +408,17 @@ def carrying(plant: Plant, payload_kg: float) -> Plant:
 
 
 def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Return joints ``(count, n)`` that cover their ranges uniformly, from a scrambled Halton sequence, rad or m."""
+    """Return joints ``(count, n)``, rad or m, that cover the joint ranges uniformly (a scrambled Halton sequence)."""
     if not count:
         return np.empty((0, nominal.joints))
     return np.asarray(qmc.scale(qmc.Halton(nominal.joints, rng=rng).random(count), nominal.lower, nominal.upper))
 
 
 def _upright_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Return joints ``(count, n)``, rad or m, drawn uniformly among those with the tool upright, away from limits."""
+    """Return joints ``(count, n)``, rad or m, drawn uniformly among those that hold the tool nearly upright.
+
+    The tilt is at most `MAX_TILT`. The margin `GOAL_MARGIN`, a share of a joint's range, is left free at both limits.
+    """
     margin = GOAL_MARGIN * (nominal.upper - nominal.lower)
     inner = replace(nominal, lower=nominal.lower + margin, upper=nominal.upper - margin)
     upright = np.empty((0, nominal.joints))
@@ -513,7 +517,7 @@ def outcomes_of(
     Args:
         setting: The setting.
         status: For each arm, `OK` or the reason why it could not be judged ``(N,)``.
-        iterations: Number of least-squares steps of each arm ``(N,)``.
+        iterations: Number of least-squares iterations of each arm ``(N,)``.
         position: Distance of the tool's true position from the wanted one at each of M fruit ``(N, M)``, m; arbitrary
             where the status is not `OK`.
         attitude: Angle between the tool's true attitude and the wanted one at each fruit ``(N, M)``, rad; arbitrary
@@ -531,7 +535,7 @@ Judge: TypeAlias = Callable[[Sequence[Setting], Plant, Sequence[Circumstances]],
 
 
 def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
-    """Compute the rows of a chunk of arms, one arm at a time.
+    """Compute the rows of the chunk of arms with the index ``chunk``, from 0, one arm at a time.
 
     ``rng`` is not used: random numbers follow from the study's seed and the arms' numbers.
     """
@@ -545,7 +549,11 @@ def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
 
 
 def judged_chunk(protocol: Protocol, chunk: int, judge: Judge) -> Rows:
-    """Draw the arms of a chunk from each population, judge them with ``judge``, and return the rows of the chunk."""
+    """Draw the arms of a chunk from each population, judge them, and return the rows of the chunk.
+
+    The ``chunk`` is an index from 0. The function ``judge`` calibrates and judges the arms of one population;
+    `judge_batch` is such a function.
+    """
     arms = protocol.config.arms_of(chunk)
     around = [protocol.circumstances(arm) for arm in arms]
     populations = []
@@ -581,9 +589,11 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
 def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Array, str, int]:
     """Calibrate the true arm ``arm`` as a setting says, and return its corrected joint commands for the fruit.
 
+    The fruit, the calibration poses and the tracker's errors are in ``around``.
+
     Returns:
         Joint commands for M fruit ``(M, n)``, rad or m; `OK`, or the reason why the arm cannot be calibrated or judged;
-        and the number of least-squares steps.
+        and the number of least-squares iterations.
     """
     if setting.method == RAW:
         return around.fruit, OK, 0
@@ -600,7 +610,7 @@ def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circu
 
 
 def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Compensator, int]:
-    """Calibrate one true arm; return its compensator, and the number of least-squares steps."""
+    """Calibrate the true arm ``arm`` at the poses in ``around``; return compensator and least-squares iterations."""
     identified = identify_converged(protocol.model, protocol.nominal, measured(protocol, arm, setting, around))
     iterations = len(identified.residual_rms) - 1
     _, _, kind = setting.method.partition(f"{LS}+")
@@ -632,12 +642,14 @@ def reach_status(missed: int, config: StudyConfig) -> str:
 
 
 def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Array]:
-    """Compute the columns `FIGURES` and "share_within" of N arms ``(N,)`` from their errors at M fruit.
+    """Compute statistics of N arms from their errors at M fruit, as columns ``(N,)`` by name.
+
+    The columns are `FIGURES`, and "share_within", the share of fruit with position errors up to the specified radius.
 
     Args:
         position: Position errors ``(N, M)``, m.
         attitude: Attitude errors ``(N, M)``, rad.
-        radius_mm: The specified radius, mm; "share_within" is the share of fruit with position errors up to this.
+        radius_mm: The specified radius, mm.
     """
     position_mm = 1e3 * np.ascontiguousarray(position)
     median, p95 = np.percentile(position_mm, [50, 95], axis=1)
@@ -657,7 +669,7 @@ def chunk_rows(protocol: Protocol, arms: range, populations: Sequence[tuple[Plan
 
     Args:
         protocol: The study.
-        arms: Numbers of the chunk's arms.
+        arms: Numbers of the chunk's arms, from 0 in the study.
         populations: For each population, the true arms of the chunk, and their outcomes in each setting of this
             population, from `outcomes_of`.
     """

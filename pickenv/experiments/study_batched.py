@@ -1,10 +1,10 @@
-"""Calibrate and judge thousands of arms of a study at once, in torch; the last axis of every component is over arms.
+"""Calibrate and judge thousands of arms of a study at once, in torch.
 
 Physics, least squares and compensation are those of `pickenv.experiments.study`, so the rows agree. The least squares
-of all arms start at the nominal geometry. The poses of an arm determine which parameters are redundant; these are
-nearly always the same. `pickenv.experiments.study` computes arms with other redundant parameters, and arms for which
-undamped steps do not suffice. Components have shapes ``(M, N)`` at M fruit and ``(P, N)`` at P poses, for N arms. SI
-units.
+of all arms start at the nominal geometry. The poses of an arm determine which parameters are redundant: nearly always
+the same. `pickenv.experiments.study` computes arms with other redundant parameters, and arms for which undamped steps
+do not suffice. Joints, vectors and frames are lists of components, whose last axis is over arms: ``(M, N)`` at M fruit
+and ``(P, N)`` at P poses, for N arms. SI units.
 """
 
 from __future__ import annotations
@@ -52,12 +52,10 @@ the batch could calibrate each arm ``(N,)``. All other arms are calibrated one b
 def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
     """Compute the rows of a chunk of arms, many arms at a time.
 
-    ``rng`` is not used: random numbers follow from the study's seed and the arms' numbers.
-
     Args:
         protocol: The study.
-        chunk: Number of the chunk.
-        rng: Not used.
+        chunk: Index of the chunk, from 0.
+        rng: Not used: random numbers follow from the study's seed and the arms' numbers.
         device: "cpu" or "cuda".
     """
     return study.judged_chunk(protocol, chunk, partial(judge_batch, protocol, device=device))
@@ -111,7 +109,10 @@ def _outcomes(
     around: Sequence[study.Circumstances],
     place: Place,
 ) -> list[Rows]:
-    """Return the outcomes of all arms of one population, in each of ``settings``."""
+    """Return the outcomes of all arms of one population, one table for each of ``settings``.
+
+    The arguments are as for `judge_batch`. ``place`` moves an array to the device on which torch computes.
+    """
     placed, count = plants_on(plants, place), len(around)
     targets = in_components(torch, np.stack([met.fruit for met in around], axis=1), place)
     read = visited_frames(protocol, placed, around, place)
@@ -140,14 +141,14 @@ def _commands(
     fruit: tuple[list[Tensor], Frame],
     place: Place,
 ) -> Commands:
-    """Calibrate all arms by a setting's method, and return their corrected commands for the fruit.
+    """Calibrate all arms by a setting's method, and return their corrected commands for the fruit, as `Commands`.
 
     Args:
         protocol: The study.
         setting: The setting.
         read: Frames from `visited_frames`.
         around: Fruit, calibration poses and tracker errors of each arm.
-        fruit: Nominal joints at the fruit, and the wanted frames of the tool.
+        fruit: Nominal joints at the fruit, one array ``(M, N)`` per joint, and the wanted frames of the tool.
         place: Function that moves an array to the device on which torch computes.
     """
     count, (targets, goals) = len(around), fruit
@@ -164,7 +165,7 @@ def _commands(
 
 
 def _norms(components: Sequence[Tensor], count: int) -> Array:
-    """Return the norms ``(N, M)`` of vectors given by three components ``(M, N)``."""
+    """Return the norms of vectors ``(N, M)``, with N = ``count``, given their three components ``(M, N)``."""
     x, y, z = components
     norms = torch.sqrt(x * x + y * y + z * z)
     return np.ascontiguousarray(norms.expand(-1, count).cpu().numpy().T)
@@ -180,7 +181,11 @@ alone."""
 def visited_frames(
     protocol: study.Protocol, plants: Plant, around: Sequence[study.Circumstances], place: Place
 ) -> list[Tensor]:
-    """Return the true tool frames of N arms at all P calibration poses ``(P, N)``, at the times of the readings."""
+    """Return the true tool frames of N arms at all P calibration poses, at the times of the readings.
+
+    A frame is a list of 12 components ``(P, N)``. ``around`` has the poses and errors of each arm. ``place`` moves an
+    array to the device on which torch computes.
+    """
     visits = np.stack([met.poses for met in around], axis=1)
     stops = np.stack([met.tracker.stops for met in around], axis=-1)
     frame = visited(plants, torch, visits, protocol.tracker, stops, place)
@@ -204,9 +209,9 @@ def identify_batch(
         place: Function that moves an array to the device on which torch computes.
 
     Returns:
-        The identified geometries, with link parameters ``(N, n)``; the number of least-squares steps ``(N,)``; and
+        The identified geometries, with link parameters ``(N, n)``; the number of least-squares iterations ``(N,)``; and
         whether the result of each arm is valid ``(N,)``. A result is invalid if the arm has other redundant parameters
-        than most arms, or if undamped steps do not suffice.
+        than most arms, or if undamped least-squares steps do not converge.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)
@@ -252,12 +257,12 @@ def identify_batch(
 
 
 def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the parameters ``(K,)`` that most arms can identify, and flags of the arms with exactly these ``(N,)``.
+    """Return the indices ``(K,)``, from 0, of the parameters that most arms can identify, and flags of arms ``(N,)``.
 
-    The rule is that of `identifiability`.
+    A flag is true for an arm that can identify exactly these parameters, by the rule of `identifiability`.
 
     Args:
-        matrix: Stacked, scaled Jacobians ``(N, rows, P)``, with the parameters in order of preference.
+        matrix: Stacked, scaled Jacobians ``(N, rows, P)``, with the P parameters in order of preference.
     """
     rows, parameters = matrix.shape[1:]
     r = matrix if rows <= parameters else torch.linalg.qr(matrix, mode="r").R
@@ -280,19 +285,28 @@ def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.boo
 
 
 def _links(chain: Chain, joints: Sequence[Tensor]) -> tuple[list[Frame], Frame]:
-    """Return the frames of the links, and the frame of the tool, at ``joints`` (one tensor per joint, rad or m)."""
+    """Return the frames of the links, from the base on, and the frame of the tool.
+
+    The arms ``chain`` are at ``joints``, one tensor per joint, rad or m.
+    """
     links = frames(torch, chain, joints)
     return links, attach(links[-1], chain.tool)
 
 
 def _residual(weights: Tensor, tool: Frame, measured: Frame) -> Tensor:
-    """Return measured minus predicted poses ``(N, 6P)``, multiplied by ``weights`` (6,), the inverse of the noise."""
+    """Return the weighted errors of poses, measured minus predicted, as rows ``(N, 6P)`` of N arms with P poses.
+
+    The frames ``tool`` are predicted. The ``weights`` (6,) are the inverse of the noise, 1/m and 1/rad.
+    """
     error = torch.stack(frame_error(torch, tool, measured))
     return (error * weights[:, None, None]).permute(2, 0, 1).flatten(1)
 
 
 def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequence[Frame], tool: Frame) -> Tensor:
-    """Return the weighted derivatives of poses ``(N, 6P, K)`` by the parameters, each in units of its tolerance."""
+    """Return the weighted derivatives of poses ``(N, 6P, K)`` by the K parameters, each in units of its tolerance.
+
+    The ``weights`` (6,) are the inverse of the noise. The frames ``links`` and ``tool`` are those of `_links`.
+    """
     shape = torch.broadcast_shapes(*(value.shape for value in tool[9:]))
     columns = torch.zeros((6, *shape, len(model.columns)), dtype=torch.float64, device=weights.device)
     for k, column in enumerate(model.columns.tolist()):
@@ -305,9 +319,10 @@ def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequ
 
 
 def _solve(matrix: Tensor, weighted: Tensor) -> tuple[Tensor, Tensor]:
-    """Return least-squares steps ``(N, K)``, and whether the normal equations could be solved ``(N,)``.
+    """Return least-squares steps ``(N, K)``, in units of tolerances, and whether equations could be solved ``(N,)``.
 
-    The normal equations are accurate enough, because the next step corrects the rounding error of a step.
+    The ``matrix`` ``(N, rows, K)`` and the errors ``weighted`` ``(N, rows)`` are those of `_jacobian` and `_residual`.
+    The normal equations are accurate enough, because each step corrects the rounding error of the step before.
     """
     turned = matrix.mT
     factor, failed = torch.linalg.cholesky_ex(turned @ matrix)
@@ -320,7 +335,10 @@ def _rms(weighted: Tensor) -> Tensor:
 
 
 def _displaced_links(geometry: Geometry, model: ErrorModel, change: Array) -> Geometry:
-    """Return geometries with link parameters ``(N, n)``, to which ``change`` ``(N, K)`` is added."""
+    """Return the geometries of N arms: ``geometry`` with ``change`` added to the parameters of ``model``.
+
+    The change ``(N, K)`` is in m and rad. The returned link parameters have shape ``(N, n)``.
+    """
     shape = (len(change), geometry.joints)
     displaced = with_links(geometry, lambda values: np.broadcast_to(values, shape).copy())
     for k, column in enumerate(model.columns.tolist()):

@@ -44,8 +44,9 @@ class Findings:
         yields: Rows of `yields_of`.
         quantiles: Rows of `quantiles_of`.
         dense: Quantiles of the mean position error at the probabilities `DENSE`.
-        sensitivities: For each analysed setting, by its number, the rows of `sensitivities_of`, or the reason why there
-            are none. One setting of each method is analysed, with all other varied columns at their middle values.
+        sensitivities: For each analysed setting, by its number (from 0), the rows of `sensitivities_of`, or the reason
+            why there are none. One setting of each method is analysed. In it, all varied columns except the method have
+            their middle values.
     """
 
     protocol: study.Protocol
@@ -56,7 +57,7 @@ class Findings:
     sensitivities: dict[int, list[dict[str, Any]] | str]
 
     def label(self, setting: int) -> str:
-        """Return a description of the setting with this number in a few words, with units."""
+        """Return a description of the setting with the number ``setting``, from 0, in a few words, with units."""
         return setting_label(self.yields[setting])
 
 
@@ -89,10 +90,10 @@ def _sensitivities(rows: Dataset, setting: int) -> list[dict[str, Any]] | str:
 
 
 def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
-    """Return the arms of a setting with the largest, median and smallest mean position error.
+    """Return the arms of a setting (by its number, from 0) with the largest, median and smallest mean position error.
 
     Returns:
-        The number of the arm and its mean position error, mm, for each of "worst", "median" and "best".
+        For each of "worst", "median" and "best", the number of the arm, from 0, and its mean position error, mm.
 
     Raises:
         InputError: If no arm of the setting has a result.
@@ -118,10 +119,10 @@ FEW = 200
 
 
 def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict:
-    """Return the verdict: the way to make and calibrate arms that reaches `REQUIRED_YIELD` with the least effort.
+    """Return the verdict: which way to make and calibrate arms reaches `REQUIRED_YIELD` with the least effort.
 
-    If no way reaches this yield, the verdict names the way with the highest yield. The yield of a way is its lowest
-    yield over all payloads.
+    A way is a tolerance class and grade, with a method, number of poses and tracker. Its yield is the lowest yield over
+    all payloads. If no way reaches the required yield, the verdict names the way with the highest yield.
 
     Args:
         config: The study.
@@ -175,7 +176,7 @@ def method_label(method: str) -> str:
 
 
 def setting_label(row: Row) -> str:
-    """Return a description of a setting in a few words, with units, from one of its rows."""
+    """Return a description of a setting in a few words, with units, from ``row``, one of the setting's rows."""
     calibration = method_label(row["method"])
     if row["method"] != study.RAW:
         calibration += f", {row['poses']} poses, noise {row['noise_mm']:g} mm"
@@ -184,7 +185,10 @@ def setting_label(row: Row) -> str:
 
 
 def _ease(row: Row) -> tuple[Any, ...]:
-    """Return a sort key that is larger for less effort: coarse grade first, then few poses, then a noisy tracker."""
+    """Return a sort key that is larger for less effort: coarse grade first, then few poses, then a noisy tracker.
+
+    The ``row`` is one of `yields_of`. With all else equal, no calibration is less effort than calibration.
+    """
     return row["it_grade"], -row["poses"], row["noise_mm"], row["method"] == study.RAW
 
 
@@ -196,14 +200,20 @@ def _way(row: Row) -> str:
 
 
 def _at(row: Row, loads: Sequence[float]) -> str:
-    """Return words for a row's payload, such as ", carrying 2 kg"; empty if no arm of the study carries one."""
+    """Return words for a row's payload, such as ", carrying 2 kg"; empty if no arm of the study carries a payload.
+
+    The ``loads`` are the payloads of the study, kg.
+    """
     if row["payload_kg"]:
         return f", carrying {row['payload_kg']:g} kg"
     return ", without payload" if len(loads) > 1 else ""
 
 
 def _best_at(rows: Sequence[Row], load: float) -> str:
-    """Return a sentence on the best way of making and calibrating arms for one payload."""
+    """Return a sentence on the best way to make and calibrate arms for the payload ``load``, kg.
+
+    The ``rows`` are those of `yields_of`.
+    """
     best = max((row for row in rows if row["payload_kg"] == load), key=lambda row: row["yield"])
     return f"{_capital(_at(best, (load, load)))} the best is {_way(best)}: {_share(best)}."
 
@@ -214,7 +224,7 @@ def _capital(text: str) -> str:
 
 
 def _share(row: Row) -> str:
-    """Return a row's yield with its 95 % interval as text, in percent."""
+    """Return the yield in a row of `yields_of`, with its 95 % interval, as text, percent."""
     return percent(row["yield"], row["yield_low"], row["yield_high"], 1)
 
 
@@ -241,7 +251,7 @@ LONGEST = 16
 
 
 def study_drawings(findings: Findings) -> Drawings:
-    """Return the figures of a study with captions; a figure that its rows do not allow has the reason instead."""
+    """Return the figures of a study with captions; a figure that the study's rows do not allow has the reason."""
     rows, specification = findings.yields, specified(findings.protocol.config)
     has_results = any(row["failed"] < row["arms"] for row in rows)
     drawings: list[Drawing] = []
@@ -272,7 +282,7 @@ def study_drawings(findings: Findings) -> Drawings:
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
-    """Return the names in `AXES` of the columns that have several values.
+    """Return the names of those columns in `AXES` that have several values in ``rows``.
 
     For poses and noise only the rows of calibrated settings count, since raw arms have neither.
     """
@@ -287,8 +297,8 @@ def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figur
 
     Args:
         yields: Rows of `yields_of`.
-        along: Column on the x axis, which the study varied. Colour and line style show some of the other varied
-            columns. All further ones are held at their middle values, which the legend names.
+        along: Column on the x axis, a key of `AXES` that the study varied. Colour and line style show the method, and
+            poses or grade. All further varied columns are held at their middle values, which the legend names.
         specification: The text of `specified`: when an arm is within specification.
     """
     keys = ("yield", "yield_low", "yield_high")
@@ -301,7 +311,7 @@ def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
 
     Args:
         quantiles: Rows of `quantiles_of`, with probabilities 0.05, 0.5 and 0.95.
-        along: Column on the x axis, which the study varied.
+        along: Column on the x axis, a key of `AXES` that the study varied.
     """
     merged: dict[int, dict[str, Any]] = {}
     for row in _judged(quantiles):
@@ -378,17 +388,19 @@ def _judged(quantiles: Sequence[Row]) -> list[Row]:
 
 
 def _arms(rows: Sequence[Row]) -> str:
-    """Return words for the number of arms behind a figure; a small number is called a trial run."""
+    """Return words for the largest number of arms in any of ``rows``; fewer than `FEW` are called a trial run."""
     arms = max((int(row["arms"]) for row in rows), default=0)
     return f"{arms} arms" + f" (a trial run: fewer than {FEW})" * (arms < FEW)
 
 
 def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, note: str) -> Figure:
-    """Draw curves with bands, in a panel per tolerance class.
+    """Draw curves with bands against the column ``along``, in a panel per tolerance class.
 
     Colour and line style show what varies besides ``along``. Curves that cannot be told apart are drawn once, with one
     label. The title gives the values of the best curve at both ends of the axis. The best curve has the largest mean
     yield, or the smallest mean error.
+
+    The columns ``keys`` are the curve and the lower and upper end of its band. The ``note`` is a line below the figure.
     """
     of_yields = "yield" in keys
     factor = 100.0 if of_yields else 1.0
@@ -442,7 +454,7 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
 
 
 def _together(labels: Sequence[str]) -> str:
-    """Return one label for curves that look alike, such as LS, IT6 to IT16 (alike)."""
+    """Return one label for curves that look alike, given their labels, such as LS, IT6 to IT16 (alike)."""
     if len(labels) == 1:
         return labels[0]
     last = (
@@ -452,14 +464,20 @@ def _together(labels: Sequence[str]) -> str:
 
 
 def _held_words(rows: Sequence[Row], shown: Sequence[str]) -> str | None:
-    """Return the legend's title: the values of the columns that were held constant; None if there are none."""
+    """Return the legend's title: the values of the columns of `AXES` that are not ``shown``; None if all are shown.
+
+    These columns are constant in ``rows``.
+    """
     calibrated = [row for row in rows if row["method"] != study.RAW]
     words = [_valued(name, calibrated[0]) for name in AXES if name not in shown] if calibrated else []
     return "\n".join(words) or None
 
 
 def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterator[tuple[str, list[Row]]]:
-    """Yield the label and the rows of each curve, with the rows ordered along the axis."""
+    """Yield the label and the rows of each curve, with the rows sorted by the column ``along``.
+
+    A curve has one pair of values in the two columns ``beside``, of which the first is the method.
+    """
     keys = sorted({(row[beside[0]], row[beside[1]]) for row in rows}, key=lambda key: (key[0] != study.RAW, *key))
     for key in keys:
         curve = sorted((r for r in rows if (r[beside[0]], r[beside[1]]) == key), key=lambda row: row[along])
@@ -468,12 +486,12 @@ def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterato
 
 
 def _valued(name: str, row: Row) -> str:
-    """Return a row's value in a column of `AXES`, in words."""
+    """Return a row's value in the column ``name`` of `AXES`, in words."""
     return AXES[name][2].format(row[name])
 
 
 def _looks(rows: Sequence[Row], beside: str) -> Callable[[Row], dict[str, Any]]:
-    """Return a function from row to line style: colour by method, line pattern and mark by the value of ``beside``."""
+    """Return a function from row to line style: colour by method, line pattern and mark by the column ``beside``."""
     methods = list(dict.fromkeys(row["method"] for row in rows))
     colours = dict(zip(methods, style.rgb(policy_colours(methods)), strict=True))
     values = sorted({row[beside] for row in rows if beside != "poses" or row["method"] != study.RAW})

@@ -43,7 +43,7 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
 
     Args:
         folder: The study's folder.
-        sobol_samples: Number of rows of the sample for Sobol indices, a power of two; 0 computes no indices.
+        sobol_samples: Size of the sample for Sobol indices, a power of two; 0 computes no indices.
     """
     folder, written = Path(folder), []
     findings = gather(folder)
@@ -116,7 +116,7 @@ def study_page(folder: str | Path, findings: Findings) -> str:
 
 
 def _percents(row: Row, key: str) -> tuple[str, str]:
-    """Return a share and its interval as texts for two table cells, percent."""
+    """Return a share and its interval as texts for two table cells, percent, from the column ``key`` of a row."""
     low, high = (None if row[end] is None else 100 * row[end] for end in (f"{key}_low", f"{key}_high"))
     return f"{100 * row[key]:.1f}", between(low, high, 1)
 
@@ -234,7 +234,7 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 
     Args:
         folder: The study's folder.
-        setting: Index of the setting, that is of one combination of the study's factors, from 0 as in its tables.
+        setting: Number of the setting (one combination of what the study varied), from 0.
         path: The file to write, usually `arms.rrd`.
 
     Raises:
@@ -248,7 +248,7 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 def arms_compared(folder: str | Path, setting: int) -> Comparison:
     """Return the reaches of a setting's worst, median and best arm, as a comparison with one policy per arm.
 
-    `record_study` makes its recording from this comparison.
+    The ``setting`` is a number from 0. `record_study` makes its recording from this comparison.
     """
     protocol = prepared_study(study_of(folder))
     config, nominal = protocol.config, protocol.nominal
@@ -260,7 +260,10 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
     fruit = protocol.circumstances(places["worst"][0]).fruit
 
     def errors_of(name: str, number: int) -> RecordedPolicy:
-        """Return one arm's errors over the field and at the fruit, with the arm calibrated as the setting says."""
+        """Return the errors of an arm, calibrated as the setting says, over the field and at the fruit.
+
+        ``name`` is "worst", "median" or "best", and ``number`` the arm's number, from 0.
+        """
         arm, around = arms[name], protocol.circumstances(number)
         loaded = carrying(arm, cell.payload_kg)
 

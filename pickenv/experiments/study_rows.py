@@ -58,12 +58,12 @@ def run_study(
     device: str = "cpu",
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Compute the chunks of arms that a study's folder lacks, and write and return the summary of the study.
+    """Compute the chunks (groups of arms) that a study's folder lacks; write and return the study's summary.
 
     Args:
         config: The study.
-        folder: Folder for results. It keeps the chunks that it has; damaged chunks are computed again, with a warning.
-        executor: A name of `EXECUTORS`: "serial", "joblib" or "batched".
+        folder: Folder for results. Chunks that are there are kept; damaged chunks are computed again, with a warning.
+        executor: "serial" (one process), "joblib" (several processes), or "batched" (many arms at once, in torch).
         workers: Number of processes; None for one per core, or for a single one with "batched".
         device: Device of "batched": "cpu" or "cuda".
         progress: Called with (arms done, total number of arms).
@@ -141,7 +141,7 @@ def _summary(protocol: study.Protocol, folder: Path, files: Sequence[Path], abou
 
 
 def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, Any]:
-    """Return the causes of differences between the arms of a setting, or the reason why they are not known."""
+    """Return a setting's columns with its "shares", the rows of `components_of`, or with the reason "missing"."""
     from pickenv.experiments.study_variance import components_of
 
     try:
@@ -154,7 +154,10 @@ def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, A
 
 
 def _claim(folder: Path, config: study.StudyConfig, arithmetic: str) -> None:
-    """Claim a folder for a study: write its configuration there, or check that the one there is the same."""
+    """Claim a folder for a study: write its configuration there, or check that the one there is the same.
+
+    The ``arithmetic`` says how rows are computed, such as "arm by arm", and must be the same too.
+    """
     described, sha256 = folder / "study.toml", config.sha256()
     if not described.is_file():
         if (folder / ROWS).exists():
@@ -176,7 +179,7 @@ def _claim(folder: Path, config: study.StudyConfig, arithmetic: str) -> None:
 
 
 def study_of(folder: str | Path) -> study.StudyConfig:
-    """Return the configuration of a study's folder, after the hash in `study.toml` is verified.
+    """Return the configuration of a study's folder, and verify the hash in `study.toml`.
 
     Raises:
         InputError: If the folder holds no study, or the hash is that of another configuration.
@@ -253,7 +256,7 @@ def read_record(path: Path, sha256: str, again: str) -> dict[str, Any]:
 
     Args:
         path: The file.
-        sha256: Hash of the study; the record must have the same hash as "config_sha256".
+        sha256: Hash of the study, which must be equal to the record's entry "config_sha256".
         again: What the user can do about a refused file, as the end of the error's sentence.
 
     Raises:
@@ -285,8 +288,8 @@ def write_sobol(folder: str | Path, settings: Sequence[int], samples: int) -> Pa
 
     Args:
         folder: The study's folder.
-        settings: Numbers of the settings.
-        samples: Number of rows of the sample, a power of two.
+        settings: Numbers of the settings, from 0.
+        samples: Size of the sample, a power of two.
 
     Raises:
         InputError: If a setting has a method other than raw or least squares, an arm cannot be judged, or ``samples``
@@ -302,7 +305,7 @@ def write_sobol(folder: str | Path, settings: Sequence[int], samples: int) -> Pa
 
 
 def read_sobol(folder: str | Path) -> dict[int, list[dict[str, Any]]]:
-    """Read the Sobol indices that `write_sobol` wrote, by number of setting; empty if none were written.
+    """Read the rows of `sobol_of` that `write_sobol` wrote, by number of the setting, from 0; empty if there are none.
 
     Raises:
         InputError: If the file is damaged, edited or about another study.
@@ -315,9 +318,7 @@ def read_sobol(folder: str | Path) -> dict[int, list[dict[str, Any]]]:
 
 
 def check_folder(folder: str | Path) -> list[tuple[Path, str | None]]:
-    """Verify every file of a study's folder that cannot be made again from the others.
-
-    Report, figures and recording are not checked.
+    """Verify every file of a study's folder, except report, figures and recording, which can be made again.
 
     Returns:
         Pairs (path, fault) for the configuration, every file in the folder of rows, every missing chunk, the summary,
@@ -344,8 +345,8 @@ def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
     """Return the rows in which every varied column, except those in ``shown``, is at its middle value.
 
     The middle grade is chosen among the grades of the middle tolerance class, and the middle noise of attitudes among
-    those of the middle noise of positions. Rows of raw arms have neither poses nor noise, and are kept whatever these
-    columns hold.
+    those of the middle noise of positions. Rows of raw arms have neither poses nor noise, and are kept for any values
+    in these columns.
     """
     for name in ("tolerances", *VARIED):
         if name not in shown:
@@ -360,9 +361,9 @@ def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
 
 
 def _middle(rows: Sequence[Row], name: str) -> Any:
-    """Return the middle value of a column: of classes in their order, of numbers by size.
+    """Return the middle value of the column ``name``: of classes in the order of the rows, of numbers by size.
 
-    Only the rows of calibrated arms count, if there are any.
+    Only the rows of calibrated arms count, if there are any. Of two middle values the first is returned.
     """
     calibrated = [row for row in rows if row["method"] != study.RAW] or rows
     values = list(dict.fromkeys(row[name] for row in calibrated))
@@ -427,7 +428,7 @@ def quantiles_of(
 
 
 def _by_setting(rows: ds.Dataset, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], Rows]]:
-    """Yield each setting, in order of its number, with the given columns of its rows."""
+    """Yield each setting, in order of its number, as its identifying columns and the given columns of its rows."""
     settings: dict[int, dict[str, Any]] = {}
     for batch in rows.to_batches(columns=list(study.SETTING), use_threads=False):
         groups = pa.Table.from_batches([batch]).group_by(list(study.SETTING), use_threads=False).aggregate([])

@@ -7,8 +7,8 @@ within specification. With the logarithm, the shares are those of relative error
 
 Sobol indices (`sobol_of`, Saltelli 2010) divide the variance of the squared RMS error, mm^2, among groups of
 tolerances. They include interactions and assume no model, but need further arms. The tracker has no errors here. Each
-row of the sample has fruit and poses of its own, and all arms of a row share them. The indices are thus averages over
-fruit and poses.
+point of the sample has fruit and poses of its own, and all arms of a point share them. The indices are thus averages
+over fruit and poses.
 
 Sensitivities (`sensitivities_of`) come from a regression on a study's rows. The squared error of an arm is a quadratic
 form of its deviations. The squared RMS error of an arm over its own fruit, mm^2, is therefore regressed on each
@@ -85,10 +85,10 @@ def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[
 
 
 def _ends(part: Array, whole: Array, value: float) -> tuple[float | None, float | None]:
-    """Return the interval of the ratio of the means of ``part`` and ``whole`` over blocks ``(R,)``.
+    """Return the interval of the ratio of the means of ``part`` and ``whole``, each ``(R,)`` over independent parts.
 
-    Its ends are clipped to 0 to 1, and moved if necessary so that it contains ``value``. They are None if R is too
-    small.
+    The ends are clipped to 0 to 1, and moved if necessary so that the interval contains ``value``. They are None if R
+    is too small.
     """
     if not part.any():
         return 0.0, 0.0  # the cause changes nothing
@@ -107,7 +107,7 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
     """Compute the shares of arms, fruit, poses and tracker in the variance of the arms' logarithmic errors.
 
     Args:
-        protocol: The study. The number of arms computed is that of the study, at most `MOST_ARMS`. Each is judged once
+        protocol: The study. As many arms are computed as the study has, at most `MOST_ARMS`. Each arm is judged once
             per cause, and twice more.
         setting: A setting of the study with the method raw or least squares.
 
@@ -146,9 +146,9 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
 
 
 def _log_errors(protocol: Protocol, setting: Setting, arms: Plant, around: Sequence[Circumstances]) -> Array:
-    """Return the logarithms of the radii, m, that contain the required share of an arm's fruit ``(N,)``.
+    """Return the logarithm of each arm's radius ``(N,)``; this radius, m, contains the required share of the fruit.
 
-    An arm that was not judged has NaN.
+    An arm that was not judged has NaN. ``around`` has fruit, poses and tracker errors of each arm.
     """
     from pickenv.experiments.study_batched import judge_batch
 
@@ -185,7 +185,7 @@ SAMPLES = 2048
 
 
 def tolerance_groups(design: Plant) -> dict[str, list[int]]:
-    """Return the indices of the uniform random numbers that determine each group of tolerances, by group.
+    """Return, for each group of tolerances, by name, the indices (from 0) of the random numbers that determine it.
 
     A group whose effect the design lacks is left out.
     """
@@ -206,7 +206,7 @@ def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[st
     Args:
         protocol: The study.
         setting: A setting of the study with the method raw or least squares.
-        samples: Number of rows of the sample, a power of two. Each row needs one arm per group of tolerances, and two
+        samples: Size of the sample, a power of two. Each of its points needs one arm per group of tolerances, and two
             more.
 
     Returns:
@@ -258,12 +258,12 @@ def sobol_indices(
     """Compute first-order and total Sobol indices of groups of independent inputs.
 
     Args:
-        model: Function that returns one finite number for each of N rows ``(N,)``. Its arguments are uniform random
-            numbers ``(N, d)`` in 0..1, and the indices of the rows in the sample ``(N,)``. The Sobol indices are
-            averages over all other quantities that depend on a row's index.
-        groups: For each group, the indices of its inputs among the d columns; each input belongs to one group.
-        samples: Number of rows of the sample, a power of two. The model is evaluated at each row once per group, and
-            twice more.
+        model: Function that returns one finite number for each of N points ``(N,)``. Its arguments are uniform random
+            numbers ``(N, d)`` in 0..1, and the indices of the points in the sample ``(N,)``, from 0. Sobol indices are
+            averages over all further quantities that depend on a point's index.
+        groups: For each group, the indices, from 0, of its inputs among the d columns; each input belongs to one group.
+        samples: Size of the sample, a power of two. The model is evaluated at each point once per group, and twice
+            more.
         rng: Random numbers for the `SCRAMBLES` scrambled Sobol sequences.
 
     Returns:
@@ -306,7 +306,7 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
 
     Args:
         rows: Any number of a study's rows; they are read in batches.
-        setting: Number of the setting; failed arms are left out.
+        setting: Number of the setting, from 0; failed arms are left out.
 
     Returns:
         One row per parameter and one per kind, sorted by share, largest first. ``level`` is "parameter" or "kind",
@@ -362,13 +362,13 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
 def parameter_of(column: str) -> str:
     """Return the parameter that a column of deviations belongs to.
 
-    It is named like the column, but "size_x" for the columns "sine_x" and "cosine_x" of a periodic error x.
+    The parameter has the name of the column, except that "sine_x" and "cosine_x" of a periodic error x give "size_x".
     """
     return re.sub(r"^(sine|cosine)_", "size_", column)
 
 
 def tolerance_kind(column: str) -> str:
-    """Return the kind of a column of deviations: "angles", "lengths", or what deviates, such as "joint stiffness"."""
+    """Return the kind of a column of deviations: "angles", "lengths", or for example "joint stiffness"."""
     if column.startswith("delta_"):
         return "angles" if column.endswith("_deg") else "lengths"
     if column == "rise_K":
@@ -377,11 +377,12 @@ def tolerance_kind(column: str) -> str:
 
 
 def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
-    """Compute the sums that a regression needs, in two passes over the rows: means and spreads, then products.
+    """Compute the sums that a regression needs, for the arms of the setting with the number ``setting``, from 0.
 
     Returns:
-        The names of the k deviations that vary, and sums of products ``(BLOCKS, 2 k + 2, 2 k + 2)`` of 1, x, x^2 and
-        the squared error in mm^2. x is the deviation minus its mean, divided by its standard deviation.
+        The names of the k deviations that vary, and for each of `BLOCKS` groups of arms the sums of products ``(BLOCKS,
+        2 k + 2, 2 k + 2)`` of 1, x, x^2 and the squared error in mm^2. x is the deviation minus its mean, divided by
+        its standard deviation.
     """
     names = [name for name in rows.schema.names if DEVIATION.fullmatch(name)]
     selection = (pc.field("setting") == setting) & (pc.field("status") == OK)
@@ -409,7 +410,10 @@ def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
 
 
 def _products(z: Array, block: NDArray[np.int64]) -> Array:
-    """Return the sums of outer products ``(BLOCKS, q, q)`` of the rows ``z (n, q)`` in each block."""
+    """Return, for each of `BLOCKS` groups of rows, the sum of the rows' outer products ``(BLOCKS, q, q)``.
+
+    The rows are ``z`` ``(n, q)``, and ``block`` ``(n,)`` is the index of each row's group, from 0.
+    """
     order = np.argsort(block, kind="stable")
     count = np.bincount(block, minlength=BLOCKS)
     place = np.arange(len(block)) - np.repeat(np.cumsum(count) - count, count)
@@ -436,7 +440,10 @@ def _regressed(sums: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _explained(slopes: Array, covariance: Array, group: Sequence[int]) -> Array:
-    """Return the variance ``(S,)``, mm^4, that a group of deviations explains, given the terms' slopes ``(S, 2 k)``."""
+    """Return the variance ``(S,)``, mm^4, that the deviations with the indices ``group`` (from 0 to k - 1) explain.
+
+    The ``slopes`` ``(S, 2 k)`` and ``covariance`` ``(S, 2 k, 2 k)`` are those of `_regressed`.
+    """
     both = [*group, *(slopes.shape[1] // 2 + i for i in group)]  # x and x^2
     part = slopes[:, None, both]
     return np.asarray((part @ covariance[:, both][:, :, both] @ part.mT)[:, 0, 0])
@@ -445,14 +452,14 @@ def _explained(slopes: Array, covariance: Array, group: Sequence[int]) -> Array:
 def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:
     """Return the 95 % interval of a share, less the part of the share that is due to chance.
 
-    The root of a share is a length in the space of slopes, with the same standard error everywhere. The share over that
-    error squared is therefore noncentral chi-square, as if with ``chance / error**2`` degrees of freedom. The interval
-    contains all noncentralities that agree with such a share, and begins at zero if zero agrees too. An estimate below
-    zero is also inside.
+    The square root of a share is a length in the space of slopes, and its standard error is the same everywhere. The
+    share divided by the square of this error is therefore noncentral chi-square, as if with ``chance / error**2``
+    degrees of freedom. The interval contains all noncentralities that are plausible for this share. It begins at zero
+    if zero is plausible, and is extended to an estimate below zero.
 
     Args:
         share: The share, including what chance adds.
-        chance: The part that chance adds.
+        chance: The part that chance adds, which is subtracted.
         pseudo: The jackknife's pseudo-values of the share's square root. From their skewness, the two sides of the
             interval get different errors.
     """

@@ -58,7 +58,7 @@ ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
 
 
 def policy_key(name: str) -> str:
-    """Return the key of a policy, given its key, its label or its description in words.
+    """Return the key of a policy (its name in files and entity paths), given its key, its label or its description.
 
     For example, ``ls_bpnn``, ``LS + BPNN`` and ``least squares + neural network`` all give ``ls_bpnn``.
     """
@@ -68,7 +68,10 @@ def policy_key(name: str) -> str:
 
 
 def check_key(name: str, what: str) -> None:
-    """Raise an error if a name is no policy key, and so no part of an entity path; the message calls it ``what``."""
+    """Raise an error if ``name`` cannot be a policy's key in an entity path; the message calls the name ``what``.
+
+    A key has lower-case letters and digits, and single underscores between them.
+    """
     if not name or name != policy_key(name):
         raise InputError(f"{what} '{name}' cannot name an entity; use lower-case letters, digits and underscores")
 
@@ -77,8 +80,9 @@ def policy_colours(names: Sequence[str]) -> list[Rgb]:
     """Return the colour of each policy, RGB in 0..255, given the policies' keys or labels.
 
     A colour depends on the policy's name alone, unless two policies would have the same colour. The keys of `BY_KEY`,
-    such as raw and LS, have fixed colours. A name that ends in such a key (``ppo_raw``) prefers the same colour, and
-    any other name prefers one of `OTHERS`. If the preferred colour is taken already, the policy gets the next free one.
+    such as ``raw`` and ``ls``, have fixed colours. A policy whose name ends in such a key (``ppo_raw``) prefers the
+    key's colour, and any further policy prefers one of `OTHERS`. If the preferred colour is taken already, the policy
+    gets the next free colour.
     """
     keys = [policy_key(name) for name in names]
     taken = {BY_KEY[key] for key in keys if key in BY_KEY}
@@ -114,7 +118,7 @@ def in_words(text: str) -> str:
     """Return a text with short names spelled out, such as "least squares + neural network" for "LS+BPNN".
 
     If the whole text is the name of a plant (a simulated true arm), the plant's description follows in brackets. Names
-    of files stay as they are.
+    of files are not changed.
     """
     if text in PLANTS:
         return f"{text} ({PLANTS[text]})"
@@ -131,10 +135,10 @@ def as_sentence(text: str) -> str:
 
 
 def lane(name: str) -> str:
-    """Return the part of an entity path that names a policy: ``1_raw``, ``2_ls``, ``3_ls_bpnn``, ``4_ppo``.
+    """Return the part of an entity path that names a policy, given its key or label, such as ``2_ls`` or ``4_ppo``.
 
-    It begins with the `policy_rank`, by which entity paths are sorted. Anything after a slash in the name, such as an
-    environment's number, is kept.
+    The part begins with the `policy_rank`, by which entity paths are sorted. Anything after a slash in the name, such
+    as an environment's number, is kept.
     """
     policy, *further = name.partition("/")
     return f"{policy_rank(policy)}_{policy_key(policy)}{''.join(further)}"

@@ -75,7 +75,7 @@ def network_convergence(loss: ArrayLike) -> Figure:
 def parameter_spectrum(
     magnitudes: ArrayLike, kept: ArrayLike, *, names: Sequence[str] | None = None, threshold: float | None = None
 ) -> Figure:
-    """Draw how well the poses identify the parameters: the diagonal of R of a pivoted QR, or singular values.
+    """Draw how well the poses identify P parameters: the diagonal of R of a pivoted QR, or singular values.
 
     Args:
         magnitudes: |R_ii| of a pivoted QR, or singular values ``(P,)``, all in one (scaled) unit.
@@ -119,12 +119,12 @@ def parameter_spectrum(
 
 
 def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike) -> Figure:
-    """Draw a map of the mean predicted uncertainty over distance from the base and height, in square cells.
+    """Draw a map of the uncertainty over distance from the base and height: the mean in each of many square cells.
 
     Args:
-        distance_mm: Distance from the base of each pose ``(N,)``, mm.
-        height_mm: Height of each pose above the base ``(N,)``, mm.
-        uncertainty_mm: Standard uncertainty at each pose ``(N,)``, mm.
+        distance_mm: Horizontal distance of the tool from the base at each pose ``(N,)``, mm.
+        height_mm: Height of the tool above the base at each pose ``(N,)``, mm.
+        uncertainty_mm: Standard uncertainty of the predicted tool position at each pose ``(N,)``, mm.
     """
     series = {"distance": distance_mm, "height": height_mm, "uncertainty": uncertainty_mm}
     x, y, values = style.finite_series(series).values()

@@ -99,10 +99,10 @@ def error_fields(comparison: Comparison) -> Figure:
 
 
 def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np.intp], float]:
-    """Choose field points to draw, about ``most`` of them.
+    """Choose evenly spaced field points to draw: at most ``most``, but all if no even spacing gives so few.
 
     Returns:
-        Indices of the points, and the distance between neighbouring points, m.
+        Indices of the points, from 0 in the field, and the distance between neighbouring points, m.
     """
     for stride in itertools.count(1):
         rows = np.flatnonzero(np.all(comparison.grid.index % stride == (stride - 1) // 2, axis=-1))
@@ -116,8 +116,8 @@ def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np
 def field_gain(step: float, top_mm: float) -> float:
     """Return the factor, a round number, by which all figures of a field draw arrows longer than true.
 
-    It is the factor of recordings, `GAIN` of `comparison_summary`, if the longest arrow is then 0.25 to 1.5 cells long.
-    Otherwise it is the factor at which neighbouring arrows nearly touch.
+    The factor is that of recordings, `GAIN` of `comparison_summary`, if it makes the longest arrow 0.25 to 1.5 cells
+    long. Otherwise neighbouring arrows nearly touch.
 
     Args:
         step: Cell size of the field, m.
@@ -162,7 +162,10 @@ class _View:
 
 
 def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, top: float) -> None:
-    """Draw arrows of errors ``(N, 3)`` at points ``(N, 3)``, m, from far to near; colours end at `top` mm."""
+    """Draw arrows of ``error`` ``(N, 3)`` at ``start`` ``(N, 3)``, m, from far to near; colours end at ``top`` mm.
+
+    Arrows are drawn ``gain`` times longer than true.
+    """
     order = np.argsort(view.depth(start))
     start, error = start[order], error[order]
     colours = viridis(np.linalg.norm(error, axis=-1) * 1e3 / top) / 255.0
@@ -174,7 +177,11 @@ def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, to
 
 
 def _arrow_outlines(tail: Array, tip: Array, width: float) -> Array:
-    """Return the outlines ``(N, 7, 2)`` of flat arrows with filled heads; a short arrow is a scaled-down long arrow."""
+    """Return the outlines ``(N, 7, 2)`` of flat arrows with filled heads; a short arrow is a scaled-down long arrow.
+
+    The arrows lead from ``tail`` to ``tip``, each ``(N, 2)``. All lengths, also the shaft's ``width``, are in the axes'
+    unit.
+    """
     along = tip - tail
     length = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
     along = along / length
@@ -202,7 +209,7 @@ def _box(axes: Axes, view: _View) -> None:
 def _axis_text(axes: Axes, view: _View, axis: int) -> None:
     """Write an axis's name, unit and range outside the lowest edge of the box that is parallel to the axis.
 
-    For z it is the leftmost edge.
+    The ``axis`` is 0 for x, 1 for y and 2 for z. For z the leftmost edge is taken in place of the lowest.
     """
     bit = 4 >> axis
     flat, values = view.flat(view.corners), view.corners[:, axis]
@@ -252,7 +259,7 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
 
     All panels share one colour scale and one gain, the factor by which arrows are longer than true. Arrows show the two
     components of the error within the slice. Their colour shows the length of the whole error. Slices are taken across
-    the axis along which the first method's errors are smallest, so that the arrows show most of them.
+    the axis along which the first method's errors are smallest, so that the arrows show most of the errors.
 
     Args:
         points: Wanted tool positions on the grid ``(F, 3)``, m.
@@ -338,7 +345,7 @@ def error_by_method(
         quantity: Name of the error, for the axis label.
         unit: Unit of the errors.
         logarithmic: Whether the error axis is logarithmic, for methods whose errors differ by powers of ten.
-        counted: Name of the things counted, such as poses, for the axis label.
+        counted: What each error belongs to, such as poses, for the axis label.
     """
     series = style.finite_series(errors)
     width = max(style.COLUMN, 1.2 + 0.9 * len(series))
@@ -401,7 +408,7 @@ def error_cumulative(
         quantity: Name of the error, for the axis label.
         unit: Unit of the errors.
         tolerance: Tolerance in ``unit``, drawn as a line; None for no line.
-        counted: Name of the things counted, such as poses, for the axis label.
+        counted: What each error belongs to, such as poses, for the axis label.
     """
     series = style.finite_series(errors)
     words = f"{quantity} ({unit})", f"{counted} within it (%)"
@@ -460,7 +467,7 @@ def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name:
 def _better(series: Mapping[str, Array]) -> str:
     """Return a title: at how many poses the last method errs less than the first.
 
-    If there is one method only, it is this method's largest error.
+    The ``series`` are errors by the method's label. With only one method, the title is this method's largest error.
     """
     (first, before), (last, after) = next(iter(series.items())), list(series.items())[-1]
     if first == last or len(before) != len(after):
@@ -471,7 +478,8 @@ def _better(series: Mapping[str, Array]) -> str:
 def _groups(x: Array) -> list[NDArray[np.intp]]:
     """Group rows by their values ``x``, and return the row indices of each group.
 
-    Each value has a group, but if there are more than `GROUPS` values, rows are divided into `GROUPS` equal groups.
+    Indices are from 0. Each value has a group. If there are more than `GROUPS` values, rows are divided into `GROUPS`
+    equal groups instead.
     """
     values = np.unique(x)
     if len(values) <= GROUPS:
@@ -480,7 +488,7 @@ def _groups(x: Array) -> list[NDArray[np.intp]]:
 
 
 def corner_errors(views: Sequence[ViewErrors]) -> Figure:
-    """Draw the reprojection errors of all views in one image plane.
+    """Draw the reprojection errors of all views (pictures of a board) in one image plane.
 
     Lens distortion that the camera model does not describe shows as a pattern.
 
@@ -500,9 +508,9 @@ def corner_errors(views: Sequence[ViewErrors]) -> Figure:
 
 
 def view_errors(views: Sequence[ViewErrors]) -> Figure:
-    """Draw the reprojection errors of the nine worst views, each on its picture, the worst first.
+    """Draw the reprojection errors of the nine worst views (pictures of a board), each on its picture, the worst first.
 
-    A view without a picture shows its arrows alone.
+    If the file of a picture is unknown or cannot be read, only the arrows are drawn.
 
     Raises:
         InputError: If there is no corner to draw.

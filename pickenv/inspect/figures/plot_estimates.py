@@ -51,7 +51,8 @@ def estimates_figure(
         label: Label of the estimates' axis, with their unit.
         by: Columns that together identify an estimate.
         x: A numeric column along which lines are drawn; None draws whiskers.
-        colour: The column whose values have a colour each; None takes the last of ``by`` except ``x`` and ``panels``.
+        colour: The column whose values have a colour each; None takes the last column of ``by`` that is neither ``x``
+            nor ``panels``.
         panels: A column whose values have a panel each.
         log: Whether the estimates' axis is logarithmic.
         scale: Factor by which the estimates are multiplied.
@@ -101,9 +102,10 @@ def estimates_figure(
 
 
 def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None) -> str:
-    """Return a figure's title: the numbers of the first panel by colour, without ``x`` those of the first place.
+    """Return a figure's title, which states estimates of the first panel by the column ``colour``.
 
-    With ``x`` they are the numbers at the end of the lines. For a single line, they are its first and last number.
+    With ``x``, the estimates are those at the end of the lines. For a single line, they are its first and its last
+    estimate. Without ``x``, each value of ``colour`` has its first estimate. ``panels`` is the column of the panels.
     """
     first = [row for row in rows if panels is None or row[panels] == rows[0][panels]]
     if x is not None and len(first) == len({row[x] for row in first}):
@@ -120,7 +122,7 @@ def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None)
 
 
 def _in_words(column: str) -> str:
-    """Return a column's name with its unit: time (h) for time_h, or pick (number) for pick, which has no unit."""
+    """Return a column's name for readers, with its unit: time (h) for time_h, pick (number) for pick without unit."""
     name, _, unit = column.rpartition("_")
     return f"{name.replace('_', ' ')} ({unit})" if unit in UNITS and name else f"{column} (number)"
 
@@ -133,7 +135,10 @@ def _scaled(number: Estimate, scale: float) -> Estimate:
 def _lines(
     axis: Any, rows: Sequence[Row], x: str, names: Sequence[str], colour: str, colours: Mapping[Any, Any]
 ) -> None:
-    """Draw a line with its band for each combination of values in the columns ``names``."""
+    """Draw a line with its band for each combination of values in the columns ``names``.
+
+    ``x`` is the column along the x axis. ``colours`` has the line's colour for each value in the column ``colour``.
+    """
     series: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         series.setdefault(tuple(row[name] for name in names), []).append(row)

@@ -24,8 +24,8 @@ from pickenv.inspect.runs.harvest_trace import PickedTree
 def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
     """Draw a Gantt chart of the picks on one tree: a panel per strategy, and a lane per arm over time.
 
-    Hollow bars are picks from which the cup came back empty. Thin red bars are times in which an arm waited for a
-    neighbour.
+    Hollow bars are picks from which the suction cup came back empty. Thin red bars are times in which an arm waited for
+    a neighbour.
 
     Args:
         trees: One tree of each strategy, by the strategy's name.
@@ -57,7 +57,8 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
 def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
     """Draw one tree's fruit from the side, coloured by the arm that collected each, in a panel per strategy.
 
-    Boxes are the zones of the rounds. Red crosses are fruit that no arm collected.
+    Boxes are the zones of the tree that the machine pictured and picked, one after the other. Red crosses are fruit
+    that no arm collected.
 
     Args:
         trees: One tree of each strategy, by the strategy's name.
@@ -87,7 +88,8 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
     """Draw the share of all fruit that reaches each stage, by strategy.
 
     Args:
-        funnels: For each strategy, the number of fruit at each stage; shares are of the number at the first stage.
+        funnels: For each strategy, the number of fruit at each stage, from present to collected; shares are of the
+            number at the first stage.
     """
     _something(funnels)
     stages = list(next(iter(funnels.values())))
@@ -110,7 +112,7 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
     """Draw picks per hour against the number of arms, with 95 % intervals and a curve for each density of fruit.
 
     Args:
-        throughput: For each density of fruit, by label, picks per hour by number of arms.
+        throughput: For each density of fruit, by label, picks per hour with their interval by number of arms.
     """
     _something(throughput)
     with style.new_panel(style.COLUMN, 2.9, "arms (number)", "picks per hour (1/h)", legend=1) as (figure, axes):
@@ -190,7 +192,7 @@ def _colour(arm: int) -> tuple[float, float, float]:
 
 
 def _arm_marks(axes: Any, arms: int) -> list[Any]:
-    """Return one mark per arm, for the legend."""
+    """Return one mark per arm in the arm's colour, for the legend of ``axes``; ``arms`` is the number of arms."""
     return [axes.scatter([], [], color=_colour(i), label=f"arm {i + 1}") for i in range(arms)]
 
 

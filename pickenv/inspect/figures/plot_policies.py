@@ -47,9 +47,9 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
 
 
 def difference_map(comparison: Comparison) -> Figure:
-    """Draw a map of the workspace, coloured by the miss of the last policy minus that of the first, mm.
+    """Draw a map of the workspace, coloured by the position error of the last policy minus that of the first, mm.
 
-    Each panel shows one layer of the workspace from above. Differences are averaged over the height of the layer.
+    Each panel shows one layer of the workspace from above, with differences averaged over the height of the layer.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     change, points = summary.field_mm(last) - summary.field_mm(first), comparison.grid.points
@@ -92,8 +92,8 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
     An arrow marks an end that the data do not bound.
 
     Args:
-        panels: The estimate, mm, for each scene, statistic, policy and compensation, nested in this order. A statistic
-            has a panel, a policy with a scene has a line, and a compensation has a colour.
+        panels: The estimate, mm, for each scene, statistic, policy and compensation, nested in this order. Each
+            statistic has a panel, each policy in a scene a line, and each compensation a colour.
 
     Raises:
         InputError: If there is nothing to draw.
@@ -205,8 +205,8 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
     """Draw pose accuracy AP and repeatability RP of ISO 9283 at each test pose, by controller.
 
     Args:
-        accuracy_mm: For each controller, AP at the poses P1 to P5, mm.
-        repeatability_mm: For each controller, RP at the same poses, mm.
+        accuracy_mm: For each controller, by name, AP at the test poses P1 to P5 ``(5,)``, mm.
+        repeatability_mm: For each controller, by name, RP at the same poses ``(5,)``, mm.
     """
     kinds = {"AP": style.finite_series(accuracy_mm), "RP": style.finite_series(repeatability_mm)}
     with style.new_figure(style.WIDTH, 2.6) as figure:
@@ -230,7 +230,7 @@ def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Fi
 
     Args:
         hours: Times since the arm was switched on ``(T,)``, h.
-        accuracy_mm: For each controller, AP at those times ``(T,)``, mm.
+        accuracy_mm: For each controller, by name, AP at the times ``hours`` ``(T,)``, mm.
     """
     series = style.finite_series(accuracy_mm)
     with style.new_panel(style.COLUMN, 2.6, "time since switched on (h)", "AP at P1 (mm)") as (figure, axes):

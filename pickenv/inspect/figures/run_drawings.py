@@ -60,8 +60,8 @@ def write_drawings(
     Args:
         drawings: The figures.
         folder: The folder.
-        formats: Suffixes of the files, without a dot.
-        progress: Function that is called with the stage's name, the number of figures done, and the number of all
+        formats: Suffixes of the files, such as "svg", without a dot.
+        progress: Function that is called with the name of the work, the number of figures done, and the number of all
             figures.
 
     Raises:
@@ -167,7 +167,11 @@ def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
 
 
 def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing:
-    """Return the figure of errors against a condition, or the reason if it was not recorded or never changed."""
+    """Return the figure of errors against a condition, or the reason if it was not recorded or never changed.
+
+    ``values`` is the condition at each held-out pose ``(M,)``, in ``unit``; None if it was not recorded. ``errors_mm``
+    has the errors ``(M,)``, mm, of each model by label.
+    """
     drawing = f"error_against_{name}"
     if values is None:
         return Drawing(drawing, f"no {name} was recorded with the held-out poses; measure it with them")

@@ -119,7 +119,10 @@ def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -
 
 
 def legend_below(figure: Figure, axes: Any, most: int) -> None:
-    """Add a legend of one panel's labels below all panels, in at most ``most`` columns, as many as fit side by side."""
+    """Add a legend of one panel's labels below all panels, in at most ``most`` columns, as many as fit side by side.
+
+    The panel is ``axes`` (matplotlib axes).
+    """
     marks, names = axes.get_legend_handles_labels()
     for columns in range(min(most, len(names)), 0, -1):
         widths = (KEY + SMALL_LETTER * max(map(len, column)) for column in np.array_split(names, columns))
@@ -130,7 +133,10 @@ def legend_below(figure: Figure, axes: Any, most: int) -> None:
 
 
 def colour_bar(figure: Figure, marks: Any, panels: Any, **look: Any) -> Any:
-    """Add a colour bar without a frame for the coloured artist ``marks``, beside the panels, and return the bar."""
+    """Add a colour bar without a frame beside ``panels``, and return the bar.
+
+    ``marks`` is the artist whose colours the bar explains. ``look`` are further arguments of matplotlib's colour bar.
+    """
     bar = figure.colorbar(marks, ax=panels, **look)
     bar.outline.set_visible(False)
     return bar
@@ -178,9 +184,10 @@ def short(value: float) -> str:
 
 
 def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
-    """Group similar curves ``(T,)``, and return the names of the curves in each group.
+    """Group similar curves ``(T,)``, given by name, and return the names of the curves in each group.
 
-    A curve is in a group if it differs by less than ``nearest`` everywhere from the first curve of the group.
+    A curve is in a group if it differs by less than ``nearest``, in the curves' unit, everywhere from the group's
+    first.
     """
     groups: list[list[str]] = []
     values = {name: np.asarray(curve, dtype=float) for name, curve in curves.items()}
@@ -196,12 +203,12 @@ def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
 
 
 def spaced(labels: Sequence[str], least: float, room: float) -> list[str]:
-    """Return labels for equally spaced places, in which empty text replaces labels that do not fit.
+    """Return labels for equally spaced marks on an axis, with empty text in place of labels that do not fit.
 
-    Either all labels stay, or every second, third … one.
+    Depending on the room, all labels stay, or every second label, or every third label, and so on.
 
     Args:
-        labels: One label for each place.
+        labels: One label for each mark.
         least: Length that a label needs along the axis, inches.
         room: Length of the axis, inches.
     """
@@ -235,11 +242,11 @@ def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float,
 
 
 def whisker(axis: Any, y: float, value: float, ends: Sequence[float | None] | None, colour: Any) -> None:
-    """Draw an estimate with its interval at height ``y``; an open end is drawn as an arrow at the estimate.
+    """Draw an estimate with its interval as a horizontal line; an open end is drawn as an arrow at the estimate.
 
     Args:
         axis: The panel.
-        y: The height, in the units of the axis.
+        y: Height of the line, in the units of the panel's y axis.
         value: The estimate.
         ends: Both ends of the interval, with None for an open end; None if there is no interval.
         colour: Colour of the mark.

@@ -77,7 +77,7 @@ class FilmCaption:
 
     Attributes:
         label: Name of the policy.
-        distance_mm: Distance from the tool to its present target fruit, mm.
+        distance_mm: Distance from the tool to the fruit that it aims for at present, mm.
         miss_mm: Distance from tool to fruit when the gripper last closed, mm; None before it has closed.
         picked: Number of fruit collected since the film began.
         tried: Number of times that the gripper has closed since the film began.
@@ -97,7 +97,7 @@ def plan_film(
     frames_per_second: int = 10,
     dark: bool = False,
 ) -> Film:
-    """Choose the moments of a film from the first episodes of a run, as many episodes as a viewer can follow.
+    """Choose the moments (recorded steps) of a film from the first episodes of a run, as many as a viewer can follow.
 
     Args:
         episodes: The run's episodes.
@@ -133,9 +133,10 @@ def plan_film(
 
 
 def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> list[tuple[int, int]]:
-    """Return the moments of an episode to show, as (episode, moment): until all tools stand, then the last one.
+    """Return the moments of an episode to show, as pairs of the indices (from 0) of episode and moment.
 
-    The last moment is repeated `PAUSE` times.
+    They begin with the reset. If each episode is a reach (``reaching``), they stop when all tools stand still,
+    otherwise at the end of the episode. Then the episode's last moment is repeated `PAUSE` times.
     """
     last = max(int(policy.moments[episode]) for policy in policies) - 1
     arrived = last
@@ -151,7 +152,7 @@ def attempts_of(policy: RecordedPolicy, episode: int) -> list[Attempt]:
 
     Args:
         policy: The policy's recorded episodes.
-        episode: Index of the episode.
+        episode: Index of the episode, from 0.
     """
     last = int(policy.moments[episode]) - 1
     picked, fruit = policy.picked[episode], policy.fruit_position[episode]
@@ -169,7 +170,10 @@ def attempts_of(policy: RecordedPolicy, episode: int) -> list[Attempt]:
 
 
 def _follows(policy: RecordedPolicy, episode: int, close: int) -> bool:
-    """Return whether the fruit recorded when the gripper closes is still the fruit at which the tool aimed before."""
+    """Return whether the fruit recorded when the gripper closes is still the fruit at which the tool aimed before.
+
+    ``episode`` and ``close`` are indices, from 0, of the episode and of the moment at which the gripper closes.
+    """
     fruit = policy.fruit_position[episode]
     return bool(close and np.linalg.norm(fruit[close] - fruit[close - 1]) < FALLEN)
 
@@ -189,12 +193,12 @@ def _caption(policy: RecordedPolicy, episode: int, moment: int) -> FilmCaption:
 
 
 def grasp_offset(policy: RecordedPolicy, episode: int, close: int) -> Array:
-    """Return the vector from the fruit to the tool when the gripper closed ``(3,)``, m.
+    """Return the vector from the fruit to the tool when the gripper closed ``(3,)``, m, in world axes.
 
     Args:
         policy: The policy's recorded episodes.
-        episode: Index of the episode.
-        close: Index of the moment at which the gripper closed.
+        episode: Index of the episode, from 0.
+        close: Index of the moment at which the gripper closed, from 0.
     """
     before = close if _follows(policy, episode, close) else max(close - 1, 0)
     return np.asarray(policy.tool_position[episode, close] - policy.fruit_position[episode, before])
@@ -207,8 +211,8 @@ class Film:
     Attributes:
         episodes: The run's episodes.
         policies: Policies that are shown, from left to right.
-        frames: Index of the episode and index of the moment for each frame. A policy whose episode is over stays at its
-            last moment.
+        frames: Index of the episode and index of the moment, both from 0, for each frame. A policy whose episode is
+            over stays at its last moment.
         frames_per_second: Frames per second.
         speed: Speed of the film as a multiple of the arms' own speed.
         reaching: Whether each episode is a reach for a single fruit.
@@ -224,22 +228,22 @@ class Film:
     dark: bool
 
     def stated(self, number: int) -> list[FilmCaption]:
-        """Return the captions of all policies in a frame, given the frame's index."""
+        """Return the captions of all policies in the frame with the index ``number``, from 0."""
         return [_caption(policy, *self.frames[number]) for policy in self.policies]
 
     @cached_property
     def shown(self) -> list[int]:
-        """Indices of the episodes that are shown."""
+        """Indices, from 0, of the episodes that are shown."""
         return sorted({episode for episode, _ in self.frames})
 
     @cached_property
     def attempts(self) -> list[list[list[Attempt]]]:
-        """Attempts at fruit, indexed by policy of the film and by episode, up to the last episode shown."""
+        """Attempts at fruit: for each policy of the film a list with one entry per episode, up to the last shown."""
         return [[attempts_of(policy, e) for e in range(self.shown[-1] + 1)] for policy in self.policies]
 
     @cached_property
     def fruit(self) -> dict[int, Array]:
-        """Positions ``(N, 3)``, m, of all fruit at which any policy of the film aims, by index of the episode."""
+        """Positions ``(N, 3)``, m, of all fruit at which any policy of the film aims, by episode (index from 0)."""
         fruit = {}
         for episode in self.shown:
             places: list[Array] = []
@@ -269,7 +273,7 @@ class Film:
 
     @cached_property
     def eye(self) -> Eye:
-        """Camera behind, beside and above the arm, as near as it can be with all points in view."""
+        """Camera above the arm, on the side away from the fruit, as near as it can be with all `points` in view."""
         base = np.zeros(3) if self.episodes.nominal is None else np.asarray(self.episodes.nominal.base.position)
         ahead = np.concatenate(list(self.fruit.values())).mean(axis=0) - base
         ahead = np.array([ahead[0], ahead[1], 0.0]) / max(float(np.hypot(ahead[0], ahead[1])), 1e-9)
@@ -295,12 +299,12 @@ class Film:
 
 
 def film_stage(film: Film, number: int, side: int) -> Stage:
-    """Return the scene (stage) of one part of a frame, which shows one policy.
+    """Return the scene (stage) of that part of a frame which shows one policy.
 
     Args:
         film: The film.
-        number: Index of the frame.
-        side: Index of the policy among the film's policies.
+        number: Index of the frame, from 0.
+        side: Index of the policy among the film's policies, from 0 on the left.
     """
     policy, caption, (episode, moment) = film.policies[side], film.stated(number)[side], film.frames[number]
     (colour,) = policy_colours([policy.key])
@@ -323,13 +327,13 @@ def film_stage(film: Film, number: int, side: int) -> Stage:
 def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, moment: int, colour: Rgb) -> Solids:
     """Return the solids of the true arm with its gripper, and of the ghost (the arm as its controller believes it).
 
-    If the environment has no arm, return the solids of the gripper alone.
+    If the environment has no arm, the solids are those of the gripper alone.
 
     Args:
         episodes: The run's episodes.
         policy: The policy's recorded episodes.
-        episode: Index of the episode.
-        moment: Index of the moment.
+        episode: Index of the episode, from 0.
+        moment: Index of the moment (recorded step) in the episode, from 0.
         colour: Colour of the true arm, RGB in 0..255.
     """
     tool, axis = policy.tool_position[episode, moment], tool_axis(policy, episode, moment)
@@ -344,13 +348,19 @@ def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, 
 
 
 def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
-    """Return the unit vector ``(3,)`` in which the tool points; it is upwards if the attitude is not recorded."""
+    """Return the unit vector ``(3,)``, in world axes, in which the tool points; upwards if the attitude is unknown.
+
+    ``episode`` and ``moment`` are indices from 0.
+    """
     axis = policy.tool_rotation[episode, moment, :, 2]
     return axis if np.isfinite(axis).all() else np.array([0.0, 0.0, 1.0])
 
 
 def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids:
-    """Return the solids of an episode's fruit at moment ``now`` of a policy, and of a crate with ``picked`` fruit."""
+    """Return the solids of an episode's fruit at moment ``now`` of a policy, and of a crate with ``picked`` fruit.
+
+    ``side`` is the index of the policy in the film. All indices are from 0.
+    """
     track, places = film.policies[side].fruit_position[episode], film.fruit[episode].copy()
     present, in_cup, missed = np.ones(len(places), dtype=bool), *np.zeros((2, len(places)), dtype=bool)
     for begin, close, end, taken in film.attempts[side][episode]:
@@ -369,7 +379,10 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
 
 
 def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
-    """Yield a text at each fruit that was missed by moment ``now``: by how many millimetres it was missed."""
+    """Yield a text at each fruit that was missed by moment ``now``: by how many millimetres the fruit was missed.
+
+    ``side`` is the index of the policy in the film. All indices are from 0.
+    """
     policy = film.policies[side]
     for begin, close, _, taken in film.attempts[side][episode]:
         if not taken and close <= now:
@@ -378,9 +391,10 @@ def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
 
 
 def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
-    """Return the positions of the tool relative to the fruit ``(K, 2)``, mm, at each closing of the gripper so far.
+    """Return where the tool was relative to the fruit each time that a policy's gripper closed ``(K, 2)``, mm.
 
-    The components are those of `seen_along`, which views the fruit along the tool's axis.
+    The closings of all episodes of the film up to moment ``now`` of ``episode`` count. ``side`` is the index of the
+    policy in the film. The components are those of `seen_along`, which views the fruit along the tool's axis.
     """
     policy, attempts = film.policies[side], film.attempts[side]
     closed = [(e, close) for e in range(episode) for _, close, *_ in attempts[e]]
@@ -410,7 +424,7 @@ def film(
         seconds: Length of the film, s.
         frames_per_second: Frames per second.
         dark: Whether the background is dark.
-        progress: Function that is called with the stage's name, the number of frames done, and the number of all
+        progress: Function that is called with the name of the work, the number of frames done, and the number of all
             frames.
 
     Returns:
@@ -434,7 +448,7 @@ def film(
 
 
 def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixels]:
-    """Yield the frames of a film as images ``(height, width, 3)``."""
+    """Yield the frames of a film as images ``(height, width, 3)``, RGB in 0..255."""
     episodes, sides = film.episodes, range(len(film.policies))
     width = len(sides) * (HALF[0] + GAP) - GAP
     subject = ", ".join(in_words(name) for name in (episodes.env_id, episodes.plant_name, episodes.gripper) if name)
@@ -450,7 +464,7 @@ def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixe
 
 
 def write_film(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -> None:
-    """Write images into a film file with ffmpeg, whole or not at all.
+    """Write images (as from `film_pictures`) into a film file with ffmpeg, whole or not at all.
 
     Raises:
         InputError: If the file cannot be written, or ffmpeg fails. The message has the last line that ffmpeg wrote.

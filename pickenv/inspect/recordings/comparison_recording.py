@@ -105,8 +105,8 @@ def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, details.A
 def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
     """Send the field's bounds with axes, the fruit, and the nominal, the true and an exaggerated arm.
 
-    The arms move by the first policy's commands; the exaggerated one differs from the nominal arm `GAIN` times as much
-    as the true arm.
+    The arms move by the first policy's commands. The deviation of the exaggerated arm from the nominal arm is `GAIN`
+    times the deviation of the true arm.
     """
     size, corner = comparison.grid.size, comparison.grid.corner
     labels = [f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)]
@@ -141,7 +141,7 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) 
 
 
 def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb) -> None:
-    """Send one policy's reaches along the time line: misses as arrows, errors as numbers, and outcomes."""
+    """Send one policy's reaches along the time line: tool errors as arrows and as numbers, and outcomes."""
     ends = policy.ends
     miss = ends.tool_position - comparison.fruit
     entity = f"world/miss/{policy.key}"
@@ -189,7 +189,7 @@ EYE_DISTANCE = 2.2
 
 
 def space(comparison: Comparison, name: str, contents: list[str], origin: str = "/world", **more: Any) -> Any:
-    """Return a 3D view of some entities, with a box around the workspace and the world's axes.
+    """Return a view in 3D of some entities, with a box around the field of poses and the world's axes.
 
     All such views start with the same camera, and each can be orbited on its own.
 

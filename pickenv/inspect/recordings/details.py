@@ -45,7 +45,7 @@ def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, Arro
     Args:
         scribe: Writer of the recording.
         comparison: The comparison.
-        tabs: Fields of arrows, from `arrow_tabs`.
+        tabs: Fields of arrows by the tab's name, from `arrow_tabs`.
         day: Error curves of a day in the field, from `day_of`.
     """
     for unit, top, fields in tabs.values():
@@ -67,7 +67,7 @@ def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, Arro
 
 
 def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Array, top: float) -> None:
-    """Send a field's values as voxels, without those in the corner that would hide all others (`cut_away`).
+    """Send a field's values as voxels, without the voxels in the corner that would hide all others (`cut_away`).
 
     Args:
         scribe: Writer of the recording.
@@ -84,7 +84,7 @@ def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Arr
 
 
 def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
-    """Send the mean and 95th percentile of errors over all fruit at each time of the day, and a text that explains."""
+    """Send the mean and 95th percentile of errors over all fruit at each time of the day, and an explanation."""
     times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day_hours(comparison))]
     hours = Scribe(scribe.stream, times)
     for (key, (label, errors)), colour in zip(day.items(), policy_colours(list(day)), strict=True):
@@ -95,7 +95,7 @@ def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
-    """Send an arm as exported to URDF; joint commands ``(R, n)``, rad or m, move it from reach to reach."""
+    """Send an arm as exported to URDF, which the commands ``joints`` ``(R, n)``, rad or m, move from reach to reach."""
     with tempfile.TemporaryDirectory() as folder:
         tree = rr.urdf.UrdfTree.from_file_path(
             write_urdf(geometry, Path(folder) / f"{name}.urdf", name),
@@ -133,9 +133,9 @@ LEGENDS = {"mm": "position", "deg": "attitude"}
 def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     """Return the tabs that show fields of arrows, by the tab's name.
 
-    The first tab has the error field of each policy. With several policies, it also has the field of the last but one
-    minus the field of the last. A second tab has the field of each effect alone. A third has the attitude errors, if
-    they are known.
+    The first tab has the error field of each policy. With several policies, it also has the difference of two fields:
+    that of the last policy but one minus that of the last policy. A second tab has the field of each effect alone. A
+    third tab has the attitude errors, if they are known.
     """
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
     errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
@@ -188,10 +188,10 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 
 
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
-    """Return fields of attitude errors ``(F, 3)``, rotation vectors, rad, by key; empty if attitudes are unknown.
+    """Return fields of attitude errors ``(F, 3)``, rotation vectors, rad; an empty dictionary if attitudes are unknown.
 
-    Fields are those of the first and the last policy, and the part of the last policy's errors that no joint motion
-    removes (`FLOOR`).
+    There are three fields: that of the first policy and that of the last policy, each by the policy's key, and by
+    `FLOOR` the part of the last policy's errors that no joint motion removes.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     if first.field_attitude is None or last.field_attitude is None:
@@ -290,9 +290,10 @@ def drifting_plant(plant: Plant) -> Plant | None:
 def day_of(comparison: Comparison) -> Day:
     """Simulate the reaches of a comparison over a day, with the policies' commands, on the plant of `drifting_plant`.
 
-    R machines start together, each with another fruit, and go through all fruit in the same order. So at every time
-    each fruit is reached by one machine, and all machines have been equally busy. Without reaches or drift the result
-    is empty.
+    R machines start together, each with another of the R fruit, and go through all fruit in the same order. So at every
+    time each fruit is reached by one machine, and all machines have been equally busy. For each policy, by key, the
+    result has the label and the errors ``(R, R)``, mm, by time and fruit; for `ADAPTED` the errors are those of
+    `_adapted`. Without reaches or drift the result is empty.
     """
     plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
     if plant is None or not count:
@@ -313,7 +314,10 @@ def day_of(comparison: Comparison) -> Day:
 
 
 def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:
-    """Return the states of M machines after a pick of ``dt`` seconds, and their tool positions ``(M, 3)``, m."""
+    """Return the states of M machines after a pick of ``dt`` seconds, and their tool positions ``(M, 3)``, m.
+
+    The machines start in ``state``, and their commands are ``joints`` ``(M, n)``, rad or m.
+    """
     state, frame = plant.advance(np, state, split_joints(plant.geometry.joints, joints), dt)
     return state, np.stack(np.broadcast_arrays(*frame[9:12]), axis=-1)
 
@@ -321,8 +325,10 @@ def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Ar
 def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     """Return the position errors ``(R, M)``, mm, of M machines whose filters correct the last policy's commands.
 
-    Each filter treats the arm with these commands as the nominal arm, as `AdaptiveReach` does behind a compensator. The
-    filter's joint values are those at which the nominal tool is at the fruit. Its correction is added to the command.
+    A filter is a Kalman filter of the arm's parameters, which learns after each of R picks, ``dt`` seconds apart. For
+    the filter, the arm that executes the policy's commands is the nominal arm, as for `AdaptiveReach` behind a
+    compensator. The filter's joint values are those at which the nominal tool is at the fruit. Its correction is added
+    to the command.
     """
     nominal, count = comparison.nominal, len(comparison.fruit)
     commands = comparison.policies[-1].ends.joint_command

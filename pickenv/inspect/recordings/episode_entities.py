@@ -34,7 +34,7 @@ OTHERS, REST = "other", "Reward and counts"
 
 
 def capped_cubic(episode: int) -> bool:
-    """Return whether an episode is one that Gymnasium's `RecordVideo` records by default.
+    """Return whether an episode (its index, from 0) is one that Gymnasium's `RecordVideo` records by default.
 
     These are the episodes 0, 1, 8, 27 … and, from 1000 on, every thousandth.
     """
@@ -42,12 +42,12 @@ def capped_cubic(episode: int) -> bool:
 
 
 class Row(NamedTuple):
-    """One recorded step of an environment.
+    """One recorded step of an environment (not a reading of an instrument).
 
     Attributes:
         episode: Index of the episode, from 0, counting also episodes that were not recorded.
-        within: Number of steps since the episode's reset.
-        order: Number of earlier episodes with recorded steps.
+        within: Number of steps since the episode's reset, 0 for the reset.
+        order: Index of the episode, from 0, counting only episodes with recorded steps.
         info: The step's `info`, with the added entry ``reward`` (0 after a reset). The entry ``joint_target`` has the
             joint values at which the controller believes the arm to be, if the environment has them.
     """
@@ -66,9 +66,10 @@ class EpisodeLog:
 
         Args:
             key: Name in entity paths: the policy, and the environment's number if there are several.
-            episode_trigger: Function of an episode's index that returns whether to record the episode from its start;
-                None for never.
-            step_trigger: Function of a step's index that returns whether to record from this step on; None for never.
+            episode_trigger: Function of an episode's index, from 0, that returns whether to record the episode from its
+                start; None for never.
+            step_trigger: Function of a step's index over all episodes, from 0, that returns whether to record from this
+                step on; None for never.
             length: Number of steps to record after a trigger; infinite for whole episodes.
         """
         self.key, self.length, self.rows = key, length, list[Row]()
@@ -121,7 +122,7 @@ class Scene:
         period: Time between steps, s.
         tolerance_mm: Radius of the gripper's capture region, mm; None if there is none.
         label: Name of the policy for readers.
-        colour: Colour of the policy.
+        colour: Colour of the policy, RGB in 0..255.
     """
 
     nominal: Geometry | None
@@ -132,7 +133,7 @@ class Scene:
 
     @cached_property
     def parts(self) -> list[int]:
-        """Indices of the segments of the arm's polyline that are drawn, from `drawn_parts`."""
+        """Indices, from 0, of the first points of the segments of the arm's polyline to draw (`drawn_parts`)."""
         assert self.nominal is not None
         lower, upper = self.nominal.lower, self.nominal.upper
         return drawn_parts(nominal_points(self.nominal, np.stack([lower, (lower + upper) / 2.0, upper])))
@@ -145,7 +146,7 @@ def info_of(infos: Mapping[str, Any], index: int) -> dict[str, Any]:
 
     Args:
         infos: Infos of the vector environment, by name.
-        index: Index of the environment.
+        index: Index of the environment, from 0.
     """
     info = {}
     for name, values in infos.items():
@@ -157,22 +158,19 @@ def info_of(infos: Mapping[str, Any], index: int) -> dict[str, Any]:
 
 
 def has_arm(scene: Scene, info: Mapping[str, Any]) -> bool:
-    """Return whether the arms can be drawn.
-
-    They can if the scene has a nominal arm, and `info` has joint command and tool position.
-    """
+    """Return whether arms can be drawn: the scene has a nominal arm, and `info` has joint command and tool position."""
     return scene.nominal is not None and {"joint_command", "tool_position"} <= set(info)
 
 
 def has_fruit(info: Mapping[str, Any]) -> bool:
-    """Return whether misses can be drawn: `info` has tool and fruit positions."""
+    """Return whether the vector from fruit to tool can be drawn: `info` has tool and fruit positions."""
     return set(POSITIONS) <= set(info)
 
 
 def distances_mm(rows: Sequence[Row]) -> Array | None:
-    """Return the distance between tool and fruit in each row ``(T,)``, mm.
+    """Return the distance between tool and fruit in each recorded step ``(T,)``, mm.
 
-    Return None if `info` has neither the two positions nor the distance.
+    Return None if `info` has neither the positions of tool and fruit nor the distance.
     """
     if has_fruit(rows[0].info):
         return np.asarray(1e3 * np.linalg.norm(column(rows, "tool_position") - column(rows, "fruit_position"), axis=1))
@@ -180,7 +178,7 @@ def distances_mm(rows: Sequence[Row]) -> Array | None:
 
 
 def last_rows(rows: Sequence[Row]) -> list[Row]:
-    """Return the last recorded row of each episode."""
+    """Return the last recorded step of each episode."""
     return list({row.order: row for row in rows}.values())
 
 
@@ -195,7 +193,7 @@ def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def column(rows: Sequence[Row], name: str) -> Array:
-    """Return the values of one entry of `info` in all rows ``(T, ...)``."""
+    """Return the values of the entry ``name`` of `info` in all recorded steps ``(T, ...)``."""
     return np.array([row.info[name] for row in rows], dtype=float)
 
 
@@ -222,15 +220,15 @@ def send_steps(
     """Send one environment's recorded steps, from index ``begin`` on, as whole columns.
 
     Colours and names of curves are sent too. The name of the distance curve states the mean final distance over all
-    episodes in ``rows``, also those before ``begin``. An episode may be sent in several calls: the last step of the
-    last call then counts as its end.
+    episodes in ``rows``, also those before ``begin``. An episode may be sent in several calls; the last step that was
+    sent counts as the episode's end.
 
     Args:
         stream: The recording.
         scene: What all environments of the recording have in common.
         key: Name of the environment in entity paths.
         rows: All recorded steps of the environment so far.
-        begin: Index of the first step to send.
+        begin: Index in ``rows`` of the first step to send, from 0.
         root: Entity below which arms and fruit are placed.
     """
     new, info, colour = rows[begin:], rows[0].info, scene.colour
@@ -279,7 +277,10 @@ def send_steps(
 
 
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
-    """Send names, colours and widths of an entity's curves, and of its episodes' curves, which are overlaid."""
+    """Send names, colours and widths of an entity's curves, and of the same curves of each episode, which are overlaid.
+
+    ``names`` has one name per curve; all curves have one colour.
+    """
     widths = [WIDTHS[min(i, len(WIDTHS) - 1)] for i in range(len(names))]
     looks = rr.SeriesLines(names=list(map(in_words, names)), colors=[colour] * len(names), widths=widths)
     for part in ("", *(f"/{order}" for order in dict.fromkeys(row.order for row in rows) if order < MOST_CURVES)):
@@ -287,7 +288,10 @@ def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[s
 
 
 def _strung(scene: Scene, rows: Sequence[Row], begin: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the indices of the rows from ``begin`` on ``(T,)``, and their times ``(T,)``, s, on `sim_time`."""
+    """Return indices ``(T,)`` of ``rows`` among all recorded steps, from 0, and their times ``(T,)``, s, on `sim_time`.
+
+    ``begin`` is the index of the first of ``rows``.
+    """
     moments = np.arange(begin, begin + len(rows))
     return moments, scene.period * moments + GAP * np.array([row.order for row in rows])
 
@@ -295,7 +299,12 @@ def _strung(scene: Scene, rows: Sequence[Row], begin: int) -> tuple[NDArray[np.i
 def _send_numbers(
     stream: rr.RecordingStream, scene: Scene, entity: str, rows: Sequence[Row], begin: int, values: Array
 ) -> None:
-    """Send numbers ``(T, k)`` on every time line: all episodes in a row, their ends, and episodes overlaid."""
+    """Send numbers ``values`` ``(T, k)`` of T rows on every time line.
+
+    All episodes follow one another on `step` and `sim_time`, and are overlaid on `episode_time`. The time line
+    `episode` has the last numbers of each episode. ``begin`` is the index, from 0, of the first row among all recorded
+    steps.
+    """
     first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
     moments, seconds = _strung(scene, rows, begin)
     lengths = np.insert(np.full(len(rows), values.shape[1]), first, 0)  # a row without numbers ends a line
@@ -316,7 +325,10 @@ def _send_numbers(
 
 
 def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike | None = None) -> None:
-    """Send numbers ``(T, k)`` along the time columns; ``lengths`` says how many numbers each row has, by default k."""
+    """Send ``values`` ``(T, k)`` along the time columns.
+
+    ``lengths`` says how many numbers belong to each time of the columns; None for k numbers each.
+    """
     scalars = rr.Scalars.columns(scalars=values.ravel())
     scribe.along(entity, scalars.partition([values.shape[1]] * len(values) if lengths is None else lengths))
 
@@ -371,7 +383,7 @@ def number_plots(info: Mapping[str, Any]) -> list[Any]:
 
 
 def distance_plot(name: str) -> Any:
-    """Return a plot of the logarithm of the distance from tool to fruit, in full range."""
+    """Return a plot of the logarithm of the distance from tool to fruit; its title begins with ``name``."""
     title = f"{name}, {DECADES}; legend: mean at the end"
     legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True)
     return view_of(rrb.TimeSeriesView, "distance", title, plot_legend=legend)

@@ -31,7 +31,9 @@ COLUMN_RADIUS, BOOM_RADIUS, FRUIT_RADIUS = 0.03, 0.02, 0.03
 
 
 def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Path:
-    """Write a recording of one round on a harvested tree: the round with the most picks.
+    """Write a recording of the round with the most picks on a harvested tree.
+
+    A round is a picture of a zone and the picks that follow from it.
 
     Args:
         machine: The harvester.
@@ -75,7 +77,10 @@ def _send(stream: rr.RecordingStream, machine: Machine, harvest: Harvest, shown:
 
 
 def _send_machine(scribe: Scribe, machine: Machine, masters: Array, slaves: Array) -> None:
-    """Send column, boom with rail, and slaves, for the joints of master ``(T, 3)`` and slaves ``(T, A, 3)``."""
+    """Send column, boom with rail, and A slave arms, which move along the time lines.
+
+    ``masters`` ``(T, 3)`` and ``slaves`` ``(T, A, 3)`` are the joints of master and slaves at each time, rad or m.
+    """
     drawn_in = slaves.copy()
     drawn_in[..., 1:] = 0.0
     tips, pivots, frame = machine.tips(masters, slaves), machine.tips(masters, drawn_in), machine.frame3(masters)
@@ -97,7 +102,11 @@ def _send_strip(scribe: Scribe, entity: str, points: Array, colour: Rgb, radius:
 
 
 def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: float) -> None:
-    """Send one arm's Gantt lane: carried by the master, travelling, or out on a pick, and how the pick ended."""
+    """Send the lane of the slave arm ``arm`` (index from 0) in the Gantt chart, with the end of each pick.
+
+    The arm is carried by the master, travels, or is out on a pick. ``arrival`` is the time, s, at which the master
+    stands.
+    """
     mine = np.flatnonzero(shown.times.arm == arm)
     moments, states = [0.0, arrival], ["carried", "travel"]
     for pick in mine[np.argsort(shown.times.start[mine])]:
@@ -110,7 +119,10 @@ def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: floa
 
 
 def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arrival: float) -> None:
-    """Send the fruit of the zone that hangs when the round begins; each fruit changes colour when its pick ends."""
+    """Send the fruit of the zone that hangs when the round begins; each fruit changes colour when its pick ends.
+
+    ``arrival`` is the time at which the master arm stands and picking begins, s.
+    """
     gone = harvest.detached.copy()
     for later in harvest.rounds[harvest.rounds.index(shown) :]:
         gone[later.fruit[later.fruit >= 0]] = False
@@ -128,9 +140,9 @@ def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint
     """Return colours ``(T, F, 3)`` that show at each time whether each fruit hangs, was collected or was missed.
 
     Args:
-        shown: The round.
-        numbers: Indices of the F fruit to show, among the tree's fruit ``(F,)``.
-        at: Times in the round's timetable ``(T,)``, s.
+        shown: The round, that is a picture of a zone and the picks that follow.
+        numbers: Indices of the F fruit to show, among the tree's fruit ``(F,)``, from 0.
+        at: Times since picking began ``(T,)``, s.
     """
     colours = np.broadcast_to(np.array(FATES["hanging"], dtype=np.uint8), (len(at), len(numbers), 3)).copy()
     place = {number: i for i, number in enumerate(numbers.tolist())}
@@ -155,11 +167,12 @@ def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
 
 
 def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:
-    """Return the layout: a view of the machine from beside and behind, then the lanes and the distances.
+    """Return the layout: a view of the machine from the side and from behind, then the lanes and the distances.
 
     Args:
         shown: Points that the eye must see ``(N, 3)``, m.
-        frame: Position of frame 3 at the pick point ``(3,)``, m, which gives the direction "ahead".
+        frame: Position of the master arm's frame 3 while it stands ``(3,)``, m. The horizontal direction from the base
+            to this frame is "ahead".
         arms: Number of slaves.
     """
     low, high = shown.min(axis=0), shown.max(axis=0)

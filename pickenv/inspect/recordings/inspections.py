@@ -26,10 +26,10 @@ def inspect_calibration(
 
     Args:
         calibration: The calibration.
-        evidence: A plant or measured poses. A plant (simulated true arm) is compensated and driven over its workspace.
-            From measured poses, preferably held-out ones, the models' predictions are subtracted.
+        evidence: A plant or measured poses. A plant (simulated true arm) is driven over its workspace, raw and
+            compensated. From measured poses, which should be held out, the models' predictions are subtracted.
         path: The file to write (.rrd).
-        grid_step: Cell size of the simulated arm's field, m.
+        grid_step: Distance between neighbouring poses of the grid at which the simulated arm's errors are computed, m.
         seed: Seed of the random joint values from which the workspace's extent is estimated.
 
     Returns:
@@ -51,7 +51,7 @@ def inspect_evaluation(
     Args:
         runs: The final states of each policy's episodes, by the policy's label. The first policy is the one without
             calibration (raw). All policies have the same fruit.
-        plant: The simulated true arm, or the preset that a population of arms was drawn from.
+        plant: The simulated true arm, or the plant that a population of arms was drawn from.
         path: The file to write (.rrd).
         tolerance_mm: Radius of the gripper's capture region, mm.
         seed: Seed of the episodes, which is part of the recording's identity.
@@ -84,7 +84,10 @@ def inspect_evaluation(
 
 
 def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: int) -> Comparison:
-    """Return a comparison of raw, LS and, if learnt, LS with residual, each driving the plant over its workspace."""
+    """Return a comparison of raw, LS and, if learnt, LS with residual, each driving the plant over its workspace.
+
+    ``grid_step`` and ``seed`` are those of `inspect_calibration`.
+    """
     if calibration.arm_fingerprint != plant.arm.fingerprint():
         raise InputError(
             f"the calibration is of arm '{calibration.arm_name}', not of '{plant.arm.name}' with this geometry; "
@@ -137,7 +140,7 @@ def _without_reaches(
 def _grid_around(points: Array, joints: Array) -> FieldGrid:
     """Return a grid around irregular points ``(F, 3)``, m, at which the arm has ``joints`` ``(F, n)``.
 
-    Cells have a round size, about `CELLS` along the longest side.
+    Cells are cubes of a round size, with about `CELLS` cells along the longest side.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     step = round_step(max(float((high - low).max()), 1e-3) / CELLS)

@@ -39,9 +39,9 @@ def open_live(
     ``spawn``, ``connect`` and ``serve`` may be combined.
 
     Args:
-        recording_id: Identity of the recording.
+        recording_id: Identity of the recording. A viewer shows recordings of one identity as one.
         blueprint: The layout.
-        spawn: Whether to start a viewer on this machine, or use the one that runs.
+        spawn: Whether to start a viewer on this machine, unless one runs already, and show the recording in it.
         connect: Address of a viewer or proxy, as `rerun` prints it: `rerun+http://127.0.0.1:9876/proxy`.
         serve: Port of a server on this machine, to which viewers can connect; None for no server.
 
@@ -67,7 +67,7 @@ def open_live(
 def _start_viewer() -> None:
     """Start a viewer that outlives this process, unless one runs already.
 
-    It is not started by rerun's own `spawn`, which would listen to the network.
+    The function does not use rerun's own `spawn`, whose viewer would listen to the network.
 
     Raises:
         InputError: If there is no screen, or the viewer does not answer in time.
@@ -95,12 +95,12 @@ def _listens() -> bool:
 def rerun_command(*words: object, **options: object) -> list[str]:
     """Return the command that starts the installed rerun, whose version fits the recordings.
 
-    The command runs rerun as a module of this Python. A program called `rerun` may belong to another installation
-    (pip --user, system site packages).
+    The command runs rerun as a module of this Python. A program called `rerun` may belong to another installation (pip
+    --user, system site packages).
 
     Args:
         words: Arguments of the command.
-        options: Options of the command, as for `command_words`.
+        options: Options of the command by name: ``port=9876`` gives ``--port 9876``.
     """
     return command_words(sys.executable, "-m", "rerun_cli", *words, **options)
 
@@ -108,7 +108,7 @@ def rerun_command(*words: object, **options: object) -> list[str]:
 def started(command: list[str], **environment: str) -> subprocess.Popen[bytes]:
     """Start rerun as a process in a session of its own, and return the process.
 
-    Its log output is discarded, since it is long and would hide what matters.
+    Rerun's log output is discarded, since it is long and would hide important messages.
 
     Args:
         command: The words of the command.
@@ -124,7 +124,10 @@ def telemetry_wanted() -> bool:
 
 
 def viewer_environment() -> dict[str, str]:
-    """Return the environment variables for a viewer; unless telemetry is wanted, CI is set, which switches it off."""
+    """Return this process's environment variables for a viewer, with CI set unless telemetry is wanted.
+
+    CI switches the viewer's telemetry off.
+    """
     return dict(os.environ) if telemetry_wanted() else {**os.environ, "CI": "1"}
 
 

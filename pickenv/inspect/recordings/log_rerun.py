@@ -28,7 +28,7 @@ GROWTH = 2.0
 
 
 class _Recorder:
-    """The part that both wrappers share: logs of environments, the file, and the live viewers."""
+    """The part that `LogRerun` and `LogRerunVector` share: logs of environments, the file, and the live viewers."""
 
     _scene: entities.Scene
 
@@ -53,9 +53,10 @@ class _Recorder:
         self._stream: rr.RecordingStream | None = None
 
     def met(self, info: Mapping[str, Any]) -> None:
-        """Store, after the first reset, what is the same in all episodes, and the recording's identity.
+        """Store the properties that all episodes share, and the recording's identity, after the first reset.
 
-        Recordings of several policies on one environment, plant and first seed are shown as one.
+        ``info`` is that of the reset. Recordings of several policies on one environment, plant and first seed have one
+        identity, so the viewer shows them as one.
         """
         if self._identity:
             return
@@ -78,7 +79,7 @@ class _Recorder:
         self._identity = ":".join([name, *([] if plant is None else [plant.name]), f"seed{outer.np_random_seed}"])
 
     def ended(self, growth: float = GROWTH) -> None:
-        """Show an episode that has ended, and rewrite the file if there are enough new steps.
+        """Show the recorded steps of an episode that has ended, and rewrite the file if there are enough new steps.
 
         The file is rewritten if the recorded steps are at least ``growth`` times the steps in the file.
         """
@@ -108,7 +109,10 @@ class _Recorder:
         return entities.episode_blueprint(self._scene, next(log.rows for log in self.logs if log.rows))
 
     def _send(self, stream: rr.RecordingStream, start: Sequence[int]) -> None:
-        """Send each environment's rows from the index in ``start`` on, preceded by static data such as colours."""
+        """Send each environment's recorded steps from an index on, preceded by static data such as colours.
+
+        ``start`` has one index, from 0, for each environment.
+        """
         if not any(start):
             facts: dict[str, Any] = {"pickenv_version": pickenv.__version__, "rerun_version": rr.__version__}
             stream.send_property("pickenv", rr.AnyValues(**facts))
@@ -122,7 +126,7 @@ NOT_OF_THE_RECORDER = ("self", "env", "indices")
 
 
 class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
-    """Log episodes for the Rerun viewer: true and nominal arm, fruit, miss, and every number of `info`.
+    """Log episodes for Rerun: true and nominal arm, fruit, arrow from fruit to tool, and every number of `info`.
 
     The signature follows `gymnasium.wrappers.RecordVideo`. All recorded episodes are in one file,
     ``save_path/name_prefix-policy.rrd``. The viewer shows files of several policies on one environment and seed as one
@@ -164,9 +168,10 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         Args:
             env: Any environment. Arms and fruit are drawn if `info` has their positions.
             save_path: Folder for the file; None for live viewers alone.
-            episode_trigger: Function of an episode's index that returns whether to record the episode. Without any
-                trigger, `capped_cubic` is used.
-            step_trigger: Function of a step's index that returns whether to record from this step on.
+            episode_trigger: Function of an episode's index, from 0, that returns whether to record the episode. Without
+                any trigger, `capped_cubic` is used.
+            step_trigger: Function of a step's index over all episodes, from 0, that returns whether to record from this
+                step on.
             recording_length: Number of steps to record after a trigger; 0 for whole episodes.
             name_prefix: First part of the file's name.
             policy: Name of the policy: lower-case letters, digits and underscores.
@@ -188,7 +193,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Reset the environment, and record its first `info` if the triggers ask for it."""
+        """Reset the environment, and record its first `info` if a trigger asks for that."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._recorder.met(info)
         if self._log.begins():
@@ -196,7 +201,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         return observation, info
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment, and record its `info` if the triggers ask for it."""
+        """Step the environment, and record its `info` if a trigger asks for that."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._log.steps():
             self._log.note(info, float(reward), believed_joints(self.env))
@@ -211,7 +216,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
 
 
 class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
-    """`LogRerun` for vector environments: it logs the environments with the chosen indices.
+    """`LogRerun` for vector environments: it logs the environments with the chosen indices, from 0.
 
     Change log:
      * v0.1.0 - Added.
@@ -232,7 +237,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         connect: str | None = None,
         serve: int | None = None,
     ) -> None:
-        """Log the environments of ``env`` whose indices are in ``indices``.
+        """Log the environments of ``env`` whose indices, from 0, are in ``indices``.
 
         All other arguments are those of `LogRerun`. Each environment counts its own episodes and steps, and the
         triggers get these counts.
@@ -254,7 +259,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environments, and record their first infos if the triggers ask for them."""
+        """Reset the environments, and record the first `info` of each environment if a trigger asks for that."""
         mask = None if options is None else options.get("reset_mask")
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._recorder.met(infos)
@@ -266,7 +271,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step the environments, and record their infos if the triggers ask for them."""
+        """Step the environments, and record the `info` of each environment if a trigger asks for that."""
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         same_step = self.env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
         ended = False

@@ -173,8 +173,8 @@ def check_recording(path: str | Path) -> None:
 
     Raises:
         InputError: If the file is missing, is no recording, or is damaged. Also if it was written by a newer rerun than
-            the installed one, or by one older by more than one minor version. Rerun does not promise to read older
-            files.
+            the installed one, or by a rerun that is older by more than one minor version. Rerun does not promise to
+            read older files.
     """
     path = Path(path)
     try:
@@ -202,7 +202,7 @@ def check_recording(path: str | Path) -> None:
 
 
 def open_native(paths: Sequence[Path]) -> None:
-    """Show recordings in a window of rerun, new or already open, and return when rerun ends.
+    """Show recordings (.rrd) in a window of rerun, new or already open, and return when rerun ends.
 
     Raises:
         InputError: If there is no screen.
@@ -228,7 +228,7 @@ def serve(paths: Sequence[Path], port: int) -> None:
 
 
 def send(paths: Sequence[Path], url: str) -> None:
-    """Send recordings to a running viewer.
+    """Send recordings to a running viewer at the address ``url``, such as `rerun+http://127.0.0.1:9876/proxy`.
 
     Raises:
         InputError: If no viewer answers at ``url``, or the viewer does not receive everything.

@@ -33,7 +33,7 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
     """Write a comparison of policies as a Rerun recording (.rrd) that includes its layout (blueprint), atomically.
 
     Args:
-        episodes: The episodes of every policy; a `Comparison` adds the errors over the workspace.
+        episodes: The episodes of every policy. If they are a `Comparison`, its errors over the workspace are shown too.
         path: The file to write.
 
     Returns:
@@ -61,7 +61,7 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
 
     Args:
         policy: The policy's recorded episodes.
-        arm: Whether `info` has the joint command, so that the arm can be drawn.
+        arm: Whether to add the joint command to `info`, so that the arm can be drawn.
     """
     names = ["position_error_mm", "picked", "tool_position", "fruit_position", "joint_target", "reward"]
     names += ["attitude_error_deg"] * (not np.isnan(policy.attitude_error_deg).all()) + ["joint_command"] * arm
@@ -92,7 +92,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
 
 
 def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
-    """Send the error field of each policy, and the first policy's errors minus the last policy's, side by side."""
+    """Send the error field of each policy and the first policy's errors minus the last policy's, all side by side."""
     scribe, (top, gain, step) = Scribe(stream), _field_scale(comparison)
     centre, radius = shown_box(comparison)
     above = centre + np.array([0.0, 0.0, 0.8 * radius])
@@ -104,7 +104,10 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
 
 
 def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
-    """Return entity name, title and errors ``(F, 3)``, m, of every field."""
+    """Return entity name, title and errors ``(F, 3)``, m, of each policy's error field and of the difference field.
+
+    The difference is the first policy's errors minus the last policy's; a single policy has none.
+    """
     fields = []
     for policy in comparison.policies:
         mean, *_ = error_spread(field_mm(policy))
@@ -117,7 +120,7 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
 
 
 def _field_scale(comparison: Comparison) -> tuple[float, float, Array]:
-    """Return the scale of all fields: upper end of colours, mm, factor on arrows, and shift to the next field, m."""
+    """Return what all fields share: upper end of colours, mm, factor on arrows, and shift from field to field, m."""
     top = max(scale_end(field_mm(policy)) for policy in comparison.policies)
     return top, field_gain(comparison.grid.step, top), APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
 
@@ -160,7 +163,10 @@ def _field_tab(comparison: Comparison) -> Any:
 
 
 def _box(episodes: RecordedEpisodes) -> tuple[Array, Array, Array]:
-    """Return low and high corner ``(3,)`` of a box around tools, fruit and base, and the shift between policies, m."""
+    """Return two opposite corners ``(3,)``, m, of a box around tools, fruit and base, and a shift ``(3,)``, m.
+
+    The first corner has the smallest coordinates. The shift is that between the scenes of two neighbouring policies.
+    """
     points = [values.reshape(-1, 3) for p in episodes.policies for values in (p.tool_position, p.fruit_position)]
     if episodes.nominal is not None:
         points.append(episodes.nominal.base.position[None])

@@ -47,7 +47,7 @@ def write_recording(
 def recording_bytes(recording_id: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]) -> bytes:
     """Return a recording as the content of a file, with the footer that ends a finished recording.
 
-    It is made in memory, because rerun's own writer waits for ever when the disk fills up.
+    The content is made in memory, because rerun's own writer waits for ever when the disk fills up.
 
     Raises:
         InputError: If the environment variable RERUN switches rerun off.
@@ -81,7 +81,7 @@ class Scribe:
         self.stream.send_columns(entity, [], columns, strict=True)
 
     def along(self, entity: str, *columns: Iterable[rr.ComponentColumn]) -> None:
-        """Send columns of data to the path ``entity``, with one row for each time of this recording's time columns."""
+        """Send columns of data to the path ``entity``, with one row for each time in the writer's time columns."""
         if self.times:
             self.stream.send_columns(entity, self.times, [c for several in columns for c in several], strict=True)
 
@@ -91,21 +91,24 @@ class Scribe:
         self.stream.send_property("pickenv", rr.AnyValues(**facts, **made_with))
 
     def document(self, entity: str, markdown: str) -> None:
-        """Send a Markdown text as static data."""
+        """Send a Markdown text to the path ``entity``, as static data."""
         self.still(entity, rr.TextDocument(as_sentence(markdown), media_type="text/markdown"))
 
     def words(self, entity: str, place: ArrayLike, text: str) -> None:
-        """Send a text at a place ``(3,)`` in space, m, as static data."""
+        """Send a text at the position ``place`` ``(3,)`` in space, m, as static data."""
         self.still(entity, rr.Points3D([place], labels=[in_words(text)], colors=[WHITE], radii=0.0, show_labels=True))
 
     def curve(self, entity: str, name: str, colour: Rgb, values: ArrayLike, width: float | None = None) -> None:
-        """Send numbers ``(T,)`` along the time lines, and how they are drawn; the line width is in points."""
+        """Send numbers ``(T,)`` along the time lines, and how they are drawn.
+
+        ``name`` is the curve's name in the legend, and ``width`` the line width, points.
+        """
         widths = None if width is None else [width]
         self.still(entity, rr.SeriesLines(names=[in_words(name)], colors=[colour], widths=widths))
         self.along(entity, rr.Scalars.columns(scalars=values))
 
     def lane(self, entity: str, looks: Mapping[str, tuple[str, Rgb]], states: Sequence[str]) -> None:
-        """Send states ``(T,)`` along the time lines; each state has a label and a colour in ``looks``."""
+        """Send T states by name along the time lines; each state has a label and a colour in ``looks``."""
         labels, colours = zip(*((in_words(label), (*colour, 255)) for label, colour in looks.values()), strict=True)
         self.still(entity, rr.StateConfiguration(values=list(looks), labels=labels, colors=colours))
         self.along(entity, rr.StateChange.columns(state=states))
@@ -133,7 +136,7 @@ class Scribe:
         Args:
             entity: Name of the arm.
             points: Points along the arm ``(T, K, 3)``, m.
-            parts: Indices of the segments to draw, as for `capsules`.
+            parts: Indices, from 0, of the first points of the segments to draw, from `drawn_parts`.
             colour: Colour of the arm, RGB in 0..255.
             fill_mode: Rerun's fill mode, such as "solid".
             thickness: Factor on the radii of the links.
@@ -232,7 +235,7 @@ MOST_ABREAST = 4
 def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
     """Return a blueprint with all panels collapsed.
 
-    Time is paused at first and then loops, unless ``time`` says otherwise.
+    At first the time is paused; when played, it loops. The options ``time`` can change both.
 
     Args:
         content: The views.
@@ -275,7 +278,7 @@ def seen_from(
 
 
 def view_of(kind: Any, entity: str, name: str, **more: Any) -> Any:
-    """Return a view of a given kind that shows everything below an entity."""
+    """Return a view of a kind (a class of rerun's views), with the title ``name``, of everything below an entity."""
     return kind(origin=f"/{entity}", contents=[f"+ /{entity}/**"], name=in_words(name), **more)
 
 

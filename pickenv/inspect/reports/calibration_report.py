@@ -43,7 +43,7 @@ def drawings(run: Run) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """Return the page that was written with the run, as HTML.
+    """Return the page that was written with the run, as HTML; ``picture`` is not used.
 
     The page cannot be made again from the folder, because it needs more data than the folder has.
 
@@ -127,7 +127,7 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
 
 
 def _worth(r: Result) -> Markup:
-    """Return whether the calibration changes picks, in sentences, as if all errors were across the tool.
+    """Return sentences that say whether the calibration changes picks, as if all errors were across the tool's axis.
 
     The text is empty if this is not known.
     """
@@ -160,7 +160,10 @@ def _sentence(text: str) -> str:
 
 
 def _table(block: Block, look: str = "") -> PageTable:
-    """Return a block of the terminal's output as a table, with the block's note as caption."""
+    """Return a table of the terminal's output (`Block`) as a table of the page, with the block's note as caption.
+
+    ``look`` is the CSS class, as for `PageTable`.
+    """
     if block.key in OF_MODELS:
         return PageTable(_sentence(in_words(block.note)), block.header, block.rows, look)
     rows = tuple(tuple(map(escape, row)) for row in block.rows)
@@ -226,7 +229,7 @@ def _poses(r: Result, train: Observations) -> Section:
 
 
 def _uncertainty(r: Result) -> Drawing | None:
-    """Return a map of the uncertainty of predicted positions, or None if it is unknown or there are terms."""
+    """Return a map of the uncertainty of predicted positions; None if it is unknown or the calibration has terms."""
     model, uncertainty, geometry = r.fit.calibration.model, r.uncertainty, r.fit.identification.geometry
     if not np.isfinite(uncertainty.covariance).all() or model.terms:
         return None

@@ -34,7 +34,7 @@ def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """Return the page of a comparison's run as HTML."""
+    """Return the page of a comparison's run as HTML; ``picture`` is not used."""
     episodes = load_part(run, RecordedEpisodes)
     enough = any(row["ci95_mm"] is not None for row in summary.policy_rows(episodes))
     intervals = summary.INTERVALS if enough else summary.NO_INTERVAL

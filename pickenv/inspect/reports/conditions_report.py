@@ -25,7 +25,7 @@ def drawings(run: Run) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """Return the page of a study of conditions as HTML."""
+    """Return the page of a study of conditions as HTML; ``picture`` is not used."""
     result = load_result(run, CONDITIONS)
     verdict = PageVerdict("note", *conditions_in_words(result))
     tables = [PageTable(*table, look="dense") for table in condition_tables(result)]
@@ -39,7 +39,10 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the verdict in words: a headline, and a text with the mean errors behind it."""
+    """Return the verdict in words: a headline, and a text with the mean errors behind it.
+
+    ``result`` is the study's result, as the run folder's `CONDITIONS` has it.
+    """
     methods = result["sweeps"][HELD_OUT]["methods"]
     figures = {name: by_level[0] for name, by_level in methods.items()}
     usual = next(name for name in figures if name != "raw")
@@ -56,7 +59,10 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def condition_tables(result: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Return a table for each condition, as title, heads and rows: mean errors with 95 % intervals, mm."""
+    """Return a table for each condition, as title, heads and rows: mean errors with 95 % intervals, mm.
+
+    ``result`` is the study's result, as the run folder's `CONDITIONS` has it.
+    """
     tables = []
     for name, sweep in result["sweeps"].items():
         rows = [[method, *(_mean(figure) for figure in by_level)] for method, by_level in sweep["methods"].items()]

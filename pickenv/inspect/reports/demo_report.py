@@ -139,7 +139,10 @@ def demo_verdict(comparison: Comparison, cases: Mapping[str, Sequence[Change]] |
 
 
 def _cases(cases: Mapping[str, Sequence[Change]]) -> Section:
-    """Return the section on picks without and with calibration, by plant, gripper and perception error."""
+    """Return the section on picks without and with calibration, by plant, gripper and perception error.
+
+    ``cases`` has, for each plant by name, the changes of picks from `pick_changes`.
+    """
     rows = [
         (f"{in_words(plant)}, {gripper}", *cells)
         for plant, changes in cases.items()
@@ -152,7 +155,7 @@ def _cases(cases: Mapping[str, Sequence[Change]]) -> Section:
 
 
 def within(comparison: Comparison, policy: RecordedPolicy) -> int:
-    """Return the number of reaches that end within the tolerance of the fruit, whatever their attitude."""
+    """Return the number of a policy's reaches that end within the gripper's tolerance of the fruit, at any attitude."""
     return int((policy.ends.position_error_mm <= comparison.tolerance_mm).sum())
 
 
@@ -216,7 +219,7 @@ def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, 
 
 
 def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
-    """Return a sentence with each stage's mean attitude error, and the part of it that no joint motion removes."""
+    """Return a sentence: the mean attitude error of raw arm and models, and the part that no joint motion removes."""
     geometry, joints = comparison.plant.geometry, trace.sets["test"]
 
     def degrees(errors: Array) -> float:
@@ -262,8 +265,8 @@ def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibrati
 def field_spec(comparison: Comparison) -> dict[str, Any]:
     """Return Plotly's data and layout of the error fields, side by side in 3D.
 
-    Dots are at wanted positions and show numbers on hovering. Lines lead from the dots towards the true positions, and
-    are drawn longer than true by `field_gain`.
+    Dots are at wanted positions and show numbers on hovering. From each dot a line leads towards the true position,
+    drawn longer than true by the factor `field_gain`.
     """
     rows, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
@@ -316,7 +319,7 @@ def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) ->
 
 
 def _axes(points: Array, spacing: float) -> dict[str, Any]:
-    """Return the axes, m, that all scenes share: the range of points ``(N, 3)`` and one ``spacing`` around them."""
+    """Return Plotly's axes, m, that all scenes share: the range of points ``(N, 3)``, and ``spacing``, m, around it."""
     low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
     small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 6.0)}
     axes = {
@@ -327,7 +330,10 @@ def _axes(points: Array, spacing: float) -> dict[str, Any]:
 
 
 def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
-    """Return Plotly's data and layout of the position error at each test pose, by stage, on a logarithmic axis."""
+    """Return Plotly's data and layout of the position errors at the test poses, on a logarithmic axis.
+
+    ``errors_mm`` has the errors ``(M,)``, mm, of the raw arm and of each model, by label.
+    """
     data = [
         {
             "type": "scatter",

@@ -34,7 +34,7 @@ def drawings(run: Run) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """Return the page of a harvester's run as HTML."""
+    """Return the page of a harvester's run as HTML; ``picture`` is not used."""
     trace = load_part(run, HarvestTrace)
     names = list(trace.measures)
     before, after = (trace.measures[name] for name in (names[0], names[-1]))

@@ -15,7 +15,7 @@ CONTROLLERS = ("raw", "calibrated")
 
 
 def _result(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the whole result of a test, and each controller's part of the result, by the controller's name."""
+    """Return the whole result of a test, and the part of the result for each of `CONTROLLERS`, by name."""
     result = load_result(run, ISO9283)
     return result, {name: result[name] for name in CONTROLLERS if name in result}
 
@@ -35,7 +35,7 @@ def drawings(run: Run) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """Return the page of an ISO 9283 test's run as HTML."""
+    """Return the page of an ISO 9283 test's run as HTML; ``picture`` is not used."""
     result, controllers = _result(run)
     worst = "; ".join(
         f"{name}: AP {test['worst_accuracy_mm']:.3f} mm, RP {test['worst_repeatability_mm']:.3f} mm, drift dAP "

@@ -41,7 +41,7 @@ class PageVerdict:
     """The verdict at the top of a page.
 
     Attributes:
-        tone: ``good``, ``care`` or ``bad``; ``note`` for runs without a stated requirement.
+        tone: Colour of the verdict: ``good``, ``care`` or ``bad``; ``note`` for runs without a stated requirement.
         headline: The verdict in a few words.
         text: Reasons for the verdict, in sentences with numbers; a paragraph per line.
         findings: Further findings: the weight of each (fail, caution or note), and a sentence.
@@ -59,7 +59,10 @@ deviation, and the limit of the scale, which goes from minus to plus this limit.
 
 
 def bar_place(value: float, limit: float) -> float:
-    """Return the place of a value on a bar's scale: 4 for minus ``limit``, 60 for zero, 116 for plus ``limit``."""
+    """Return the horizontal position of a value on a bar's drawing, which is 120 units wide.
+
+    Zero is at 60, ``limit`` at 116, and minus ``limit`` at 4. Values beyond these limits are drawn at the limits.
+    """
     return 60.0 + 56.0 * min(max(value / limit, -1.0), 1.0)
 
 
@@ -81,9 +84,9 @@ class PageTable:
     look: str = ""
 
     def in_words(self, column: int) -> bool:
-        """Return whether a column holds words.
+        """Return whether the column with the index ``column``, from 0, holds words.
 
-        The first column does, and so does one whose cells are mostly not numbers.
+        The first column counts as words, and so does any column whose cells are mostly not numbers.
         """
         cells = [cell for row in self.rows if (cell := row[column])]
         return column == 0 or 2 * sum(not isinstance(cell, str) or is_number(cell) for cell in cells) < len(cells)
@@ -134,7 +137,7 @@ def html_of(
         sections: The evidence; an empty section is left out.
         origin: Facts needed to make the report again, by name.
         tiles: Numbers that are shown large in a row, as text, by their description.
-        contents: Whether links to the sections follow the tiles.
+        contents: Whether links to the sections follow below the large numbers.
     """
     return _template().render(
         title=title,
@@ -205,7 +208,7 @@ def library() -> Markup:
 
 
 def packed(content: bytes) -> Markup:
-    """Return bytes as base64 markup for a page; short names within it are not spelled out."""
+    """Return bytes as base64 markup, which the page's templates leave unchanged."""
     return Markup(base64.b64encode(content).decode())
 
 
@@ -220,7 +223,7 @@ def plain_report(
         subtitle: One line that says what was run.
         verdict: The verdict, at the top of the page.
         tables: The numbers.
-        drawings: Figures; those that cannot be drawn are named with the reason.
+        drawings: Figures. A figure that cannot be drawn is named with the reason.
     """
     left_out = "; ".join(f"{d.name}: {d.caption}" for d in drawings if d.draw is None)
     sections = (
@@ -255,11 +258,12 @@ def _pages(run: Run) -> Any:
 def axis_table(
     caption: str, stages: Mapping[str, Mapping[str, tuple[float, ...]]], say: Callable[[float], str]
 ) -> PageTable:
-    """Return a table of errors per degree of freedom, with four columns for each stage.
+    """Return a table of errors per axis (degree of freedom), with four columns for each stage of calibration.
 
     Args:
         caption: Caption of the table.
-        stages: For each stage, by label, the mean, standard deviation, RMS and maximum of its errors, by axis.
+        stages: For each stage (raw, LS and so on), by label, the mean, standard deviation, RMS and maximum of its
+            errors, by the axis's name.
         say: Function that formats a number as text.
     """
     heads = ["axis", *(f"{label} {statistic}" for label in stages for statistic in ("mean", "std", "RMSE", "max"))]

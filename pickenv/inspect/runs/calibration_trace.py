@@ -45,17 +45,19 @@ class CalibrationTrace:
     Attributes:
         nominal: Nominal geometry of the arm, which its controller uses.
         sets: Joint values ``(N, n)``, rad or m, of each pose set (identification, network, test). A pose with several
-            measured errors has as many rows.
-        errors: Held-out pose errors ``(M, 6)``, or misses ``(M, 1 to 3)``, m and rad, of each stage, by label.
+            measured errors is repeated for each of them.
+        errors: Held-out pose errors ``(M, 6)``, or misses ``(M, 1 to 3)``, m and rad, of each stage (raw, LS and so
+            on), by label.
         payload: Payload at each held-out pose ``(M,)``, kg; None where it was not recorded.
         temperature: Temperature rise at each held-out pose ``(M,)``, K; None where it was not recorded.
-        position_rms: Position residual RMS before each least-squares iteration and after the last, m.
-        attitude_rms: Attitude residual RMS before each iteration and after the last, rad; None where only
+        position_rms: Position residual RMS before each of I least-squares iterations and after the last ``(I + 1,)``,
+            m.
+        attitude_rms: Attitude residual RMS before each iteration and after the last ``(I + 1,)``, rad; None where only
             positions were measured.
         loss: Training loss of the network per epoch, MSE of normalised targets; None without a network.
-        names: Names of the error model's parameters.
-        kept: Whether each parameter was identified.
-        r_diagonal: |R_kk| of the QR decomposition of the scaled stacked Jacobian, for each parameter.
+        names: Names of the error model's P parameters.
+        kept: Whether each of the P parameters was identified ``(P,)``.
+        r_diagonal: |R_kk| of the QR decomposition of the scaled stacked Jacobian, for each parameter ``(P,)``.
         singular_values: Singular values of the scaled stacked Jacobian of the kept parameters.
         fingerprints: Hash of each data set, by the set's name.
         views: Held-out views with their reprojection errors; empty where no pictures were taken.
@@ -92,8 +94,8 @@ def trace_of(
 
     Args:
         fit: Result of `calibration.fit` on the first set.
-        sets: Measurements by role: the first set was used for identification, "test" was held out.
-        errors: Held-out errors of each stage, by label.
+        sets: Measurements by the name of the set. The first set was used for identification, and "test" was held out.
+        errors: Held-out errors of each stage (raw, LS and so on), by label, as in `CalibrationTrace`.
         views: Held-out views; empty where no pictures were taken.
     """
     identification, calibration = fit.identification, fit.calibration

@@ -33,7 +33,7 @@ NO_INTERVAL = f"fewer than {LEAST} episodes, so no intervals of means"
 def episode_misses(policy: RecordedPolicy) -> Array:
     """Return the mean miss of each episode ``(E,)``, mm.
 
-    A miss is the distance from tool to fruit when the gripper closed. The mean is nan if it never closed.
+    A miss is the distance from tool to fruit when the gripper closed. The mean is nan if the gripper never closed.
     """
     closed = np.isfinite(policy.miss_mm)
     with np.errstate(invalid="ignore"):
@@ -46,7 +46,7 @@ def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
 
 
 def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
-    """Return one row of numbers per policy, such as the mean miss and its interval; an unknown number is None."""
+    """Return one dictionary of numbers per policy, such as the mean miss and its interval; None if unknown."""
     return [_policy_row(policy) for policy in episodes.policies]
 
 
@@ -78,7 +78,8 @@ def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
 def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
     """Return the differences over the same fruit for all pairs of policies.
 
-    A difference is the second policy of the pair minus the first, in the order of ``episodes.policies``.
+    A difference is the later policy of the pair minus the earlier, in the order of ``episodes.policies``. In each
+    dictionary, "from" is the label of the earlier policy, and "to" that of the later one.
     """
     return [_difference(before, after) for before, after in combinations(episodes.policies, 2)]
 
@@ -138,10 +139,11 @@ def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
 
 
 def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, dict[str, dict[str, Any]]]:
-    """Return the row of the best policy (least mean miss), and its differences from its rivals, by the rivals' labels.
+    """Return the numbers of the best policy (least mean miss), and its differences from each rival, by label.
 
-    A rival is another policy that closed the gripper for some of the same fruit. ``lead_mm`` of a difference is the
-    rival's miss minus the best policy's, mm. If no policy closed the gripper, the row is None.
+    A miss is the distance from tool to fruit when the gripper closed. A rival is another policy that closed the gripper
+    for some of the same fruit. ``lead_mm`` of a difference is the rival's miss minus the best policy's, mm. If no
+    policy closed the gripper, the first result is None.
     """
     closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
     if not closed:
@@ -156,7 +158,7 @@ def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, dict[str, 
 
 
 def outcome_sentence(episodes: RecordedEpisodes) -> str:
-    """Return the verdict in a few words: which policy is best, and its mean miss."""
+    """Return the verdict in a few words: which policy is best, and its mean distance from the fruit at closing."""
     best, rivals = _best(episodes)
     if best is None:
         return "No policy closed the gripper"
@@ -180,8 +182,8 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
 def explanation(episodes: RecordedEpisodes) -> str:
     """Return the reasons for the verdict in sentences.
 
-    The reasons are the best policy's lead over its first rival, whether any gripper's picks change, and the picks in
-    these episodes.
+    The reasons are the best policy's lead over its first rival (see `policy_changes`), whether any gripper's picks
+    change, and the picks in these episodes.
     """
     best, rivals = _best(episodes)
     if best is None:
@@ -207,10 +209,11 @@ def _picking(episodes: RecordedEpisodes) -> str:
 
 
 def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """Return the change in picks if the best policy replaces its rival, for each gripper and perception error.
+    """Return the change in picks if the best policy replaces a rival, for each gripper and perception error.
 
-    The best policy has the least mean miss. The rival is the first other policy in the list that closed the gripper for
-    some of the same fruit; without a rival the result is empty. Only the part of a miss across the tool's axis counts.
+    The best policy has the least mean distance from tool to fruit when the gripper closes. The rival is the first other
+    policy in ``episodes.policies`` that closed the gripper for some of the same fruit; without a rival the result is
+    empty. Only the part of this distance across the tool's axis counts.
     """
     best, rivals = _best(episodes)
     if best is None or not rivals:
@@ -225,7 +228,7 @@ def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[Change]:
 
 
 def _across(policy: RecordedPolicy) -> Array:
-    """Return the part of each miss across the tool's axis, mm; the whole miss if the tool's attitude is unknown."""
+    """Return the part of each episode's miss across the tool's axis, mm; the whole miss if the attitude is unknown."""
     axis, across = policy.tool_rotation[..., 2], policy.miss_mm.copy()
     comparable = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
     apart = (policy.fruit_position - policy.tool_position)[comparable]
@@ -234,7 +237,7 @@ def _across(policy: RecordedPolicy) -> Array:
 
 
 def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """Return the whole comparison as a dictionary for JSON."""
+    """Return all numbers of a comparison, per policy and per pair of policies, as a dictionary for JSON."""
     return {
         "environment": episodes.env_id,
         "plant": episodes.plant_name,
@@ -273,7 +276,7 @@ def _mean(values: Array) -> float | None:
 
 
 def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[float] | None:
-    """Return an interval as a list for JSON, with its ends raised to ``least``, the smallest possible value."""
+    """Return an interval as a list for JSON; ends below ``least``, the smallest possible value, are raised to it."""
     return None if ends is None else [max(end, least) for end in ends]
 
 
@@ -306,10 +309,10 @@ def field_mm(policy: RecordedPolicy) -> Array:
 
 
 def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the grid cells that hold points ``(C, 3)``, sorted, and the mean of the values in each cell ``(C,)``.
+    """Return sorted indices of the C grid cells with points ``(C, 3)``, and the mean of each cell's values ``(C,)``.
 
     Args:
-        index: Index of the cell of each point ``(F, 3)``.
+        index: Indices, from 0 along x, y and z, of the cell of each point ``(F, 3)``.
         values: Value at each point ``(F,)``.
     """
     cells, cell = np.unique(index, axis=0, return_inverse=True)
@@ -323,7 +326,7 @@ def colour_scale_mm(comparison: Comparison) -> float:
 
 
 def uncertainty_scale_mm(comparison: Comparison) -> float:
-    """Return the upper end of the colour scale for predicted uncertainty and the last policy's error field, mm."""
+    """Return the upper end, mm, of the colour scale for both the predicted uncertainty and the last policy's errors."""
     assert comparison.field_uncertainty is not None
     lengths = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
     return scale_end(lengths)
@@ -356,7 +359,7 @@ def ticks(top: float) -> list[float]:
 
 
 def summary_markdown(comparison: Comparison) -> str:
-    """Return the summary as a Markdown table, with a short legend of what is drawn at which scale."""
+    """Return errors of each policy as a Markdown table, with a short legend of what is drawn at which scale."""
     top, has_reaches = colour_scale_mm(comparison), len(comparison.fruit) > 0
     heads = ["field mean", "field RMS", "field p95", "field max"]
     if has_reaches:
@@ -388,7 +391,10 @@ def summary_markdown(comparison: Comparison) -> str:
 
 
 def _better(comparison: Comparison) -> str:
-    """Return a sentence on the share of field points where the last policy beats the one before, or an empty text."""
+    """Return a sentence on the share of field points where the last policy errs less than the last but one.
+
+    With fewer than two policies the text is empty.
+    """
     if len(comparison.policies) < 2:
         return ""
     before, last = comparison.policies[-2:]

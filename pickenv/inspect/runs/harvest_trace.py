@@ -14,16 +14,16 @@ from pickenv.harvester import Harvest, Measure
 
 @dataclass(frozen=True, eq=False)
 class PickedTree:
-    """The record of how one tree with F fruit was picked: P picks in Z rounds.
+    """The record of how one tree with F fruit was picked: P picks in Z rounds. Times count from the start of the tree.
 
     Attributes:
         seconds: Time spent on the tree, s.
-        fruit: Positions of the fruit ``(F, 3)``, m.
+        fruit: Positions of the fruit ``(F, 3)``, m, in the frame of the machine's base.
         collected: Whether each fruit was collected, that is put into a tube ``(F,)``.
-        by_arm: Index of the arm that last tried each fruit ``(F,)``; −1 where no arm did.
-        zones: Left, right, bottom and top of each round's zone ``(Z, 4)``, m.
+        by_arm: Index, from 0, of the arm that last tried each fruit ``(F,)``; −1 where no arm did.
+        zones: Left and right (x), bottom and top (z) of the zone pictured in each round ``(Z, 4)``, m.
         stands: Start and end of the time in each round when the master arm stands still ``(Z, 2)``, s.
-        arm: Index of the arm of each pick ``(P,)``.
+        arm: Index, from 0, of the arm of each pick ``(P,)``.
         start: Time at which the arm leaves for the fruit, for each pick ``(P,)``, s.
         end: Time at which the arm is back, for each pick ``(P,)``, s.
         held: Time that the arm had to wait for a neighbour before each pick ``(P,)``, s.

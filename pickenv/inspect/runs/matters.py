@@ -33,11 +33,11 @@ def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, 
 def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]:
     """Return the lateral misalignment of each reach, and the probability that each gripper takes its fruit.
 
-    The tool's axis is the true arm's. The wanted axis is that of the nominal arm at the first policy's command.
+    The tool's axis is that of the true arm. The wanted axis is that of the nominal arm at the first policy's command.
 
     Returns:
         For each policy, by label: distances of the fruit from the tool's axis ``(R,)``, mm, and for each gripper the
-            probability that it takes the fruit ``(R,)``.
+        probability that it takes the fruit ``(R,)``.
     """
     grippers: dict[str, Gripper] = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
@@ -68,7 +68,7 @@ the shares of fruit taken without and with calibration."""
 
 
 def _gain(change: Change) -> float:
-    """Return the gain in picks by calibration, as a share of fruit."""
+    """Return the gain in picks by calibration, as a share of fruit from -1 to 1."""
     return float(change["after"] - change["before"])
 
 
@@ -118,7 +118,7 @@ def matters(plant: str, changes: Sequence[Change], between: tuple[str, str] = ("
     Args:
         plant: The arm's name.
         changes: The changes, from `pick_changes`.
-        between: Words behind the shares before and after, such as "with raw" and "with LS" for two policies.
+        between: Words that follow the shares before and after calibration, such as "with raw" and "with LS".
     """
 
     def both(change: Change) -> str:

@@ -79,10 +79,10 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
     """Return the meaning of a parameter in words; an empty string for an unknown name.
 
     Args:
-        name: Name of the parameter, such as alpha0, theta1, base_x, compliance4. Its number is that of a link, from 0
-            for alpha, a and beta, from 1 for theta and d.
+        name: Name of the parameter, such as alpha0, theta1, base_x, compliance4. The number in the name is that of a
+            link, from 0 for alpha, a and beta, from 1 for theta and d.
         joint_names: Names of the joints.
-        link_names: Names of the links, where a joint moves several links; the joints' names when None.
+        link_names: Names of the links, if a joint moves several links; the joints' names when None.
     """
     links = link_names or joint_names
     match = re.fullmatch(r"(alpha|a|beta|theta|d)(\d+)", name)

@@ -21,7 +21,7 @@ from pickenv.inspect.colours import Rgb, policy_colours, policy_key
 
 @dataclass(frozen=True, eq=False)
 class Reaches:
-    """The final states of R episodes.
+    """The final states of R episodes; vectors are in world axes.
 
     Attributes:
         seeds: Seed of each episode.
@@ -79,7 +79,7 @@ MOMENTS = (
 
 @dataclass(frozen=True, eq=False)
 class RecordedPolicy:
-    """One policy's E episodes of at most T moments, of which the reset is the first.
+    """One policy's E episodes of at most T moments (recorded steps), of which the reset is the first.
 
     A shorter episode repeats its last moment. If only the final states of episodes are kept (`ended`), each episode has
     one moment.
@@ -94,17 +94,17 @@ class RecordedPolicy:
         joint_command: Joint command that the drives got ``(E, T, n)``, rad or m: ``joint_target`` after compensation.
         tool_position: The tool's true positions ``(E, T, 3)``, m.
         tool_rotation: The tool's true attitudes ``(E, T, 3, 3)``, rotation matrices; nan where they are not known.
-        fruit_position: Fruit positions ``(E, T, 3)``, m; among several fruit, the one that the tool aims for.
+        fruit_position: Fruit positions ``(E, T, 3)``, m; among several fruit, that of the fruit that the tool aims for.
         position_error_mm: Distance between the tool's true position and the fruit ``(E, T)``.
         attitude_error_deg: Angle between the tool's true and wanted attitude ``(E, T)``; nan where it is not known.
         success: Whether the environment reports success ``(E, T)``.
-        picked: Number of fruit taken in the episode so far ``(E, T)``; a reach picks at its last moment.
+        picked: Number of fruit taken in the episode so far ``(E, T)``; a reach takes its fruit at the last moment.
         miss_mm: Distance between tool and fruit at moments when the gripper closes ``(E, T)``; nan at all others. In a
             reach the gripper closes at the last moment.
         reward: Reward of each step ``(E, T)``; 0 at the reset and after the end.
         field_errors: True minus wanted tool position at the points of a comparison's grid ``(F, 3)``, m, world axes.
-        field_attitude: Attitude error, true against wanted, at these points ``(F, 3)``, as rotation vectors in world
-            axes, rad; None where only positions are known.
+        field_attitude: Attitude error, true against wanted, at the points of the grid ``(F, 3)``, as rotation vectors
+            in world axes, rad; None where only positions are known.
     """
 
     label: str
@@ -167,8 +167,8 @@ class RecordedEpisodes:
     Attributes:
         policies: One entry per policy, in this order: without calibration (raw), with least squares (LS), with a neural
             network in addition (LS+BPNN), then all others.
-        plant: The true arm that was simulated. It is drawn from `joint_command` and `tool_position`
-            (`pickenv.arm.true_points`). None where the environment has no plant.
+        plant: The true arm that was simulated; None where the environment has no plant. Pictures show the arm by
+            `joint_command` and `tool_position` (`pickenv.arm.true_points`).
         tolerance_mm: Tolerance of the gripper. For a suction cup, it is the lateral distance from the tool up to which
             the fruit is always taken. For another gripper, it is the distance at which the fruit is taken one time in
             two.
@@ -227,7 +227,7 @@ class FieldGrid:
         shape: Number of cells (nx, ny, nz).
         origin: Centre of the first cell, m, ``(3,)``.
         step: Cell size, m.
-        index: Integer index of each reached cell ``(F, 3)``.
+        index: Indices, from 0 along x, y and z, of each reached cell ``(F, 3)``.
         points: Centres of the reached cells ``(F, 3)``, m.
         joints: Joint values that bring the nominal arm's tool upright to each centre ``(F, n)``, rad or m.
     """
@@ -305,7 +305,7 @@ POSITIONS = ("tool_position", "fruit_position")
 
 
 def missing_positions(info: Mapping[str, Any]) -> str:
-    """Return a sentence that says which `POSITIONS` `info` lacks and what to do; an empty string if it lacks none.
+    """Return a sentence that says which `POSITIONS` `info` lacks and what to do; empty if it has both.
 
     Raises:
         InputError: If an entry is there but is not three finite numbers.

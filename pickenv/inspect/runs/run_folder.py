@@ -93,7 +93,7 @@ def run_kind(name: str, **source: str) -> RunKind:
     """Return the registered kind of run with a name.
 
     Args:
-        name: Name of the kind.
+        name: Name of the kind, such as "demo".
         source: ``package`` and ``version`` of the kind, as the run's record names them; arguments of `registry.get`.
 
     Raises:
@@ -114,7 +114,7 @@ class Run:
 
     Attributes:
         folder: The folder.
-        kind: Name of a registered kind of run.
+        kind: Name of a registered kind of run, such as "demo".
         command: Command line that makes the same numbers again.
         seed: Seed of everything random; None where there is no seed, or several.
         versions: Versions of the packages that computed the run, by package.
@@ -139,13 +139,13 @@ class Run:
 
 @contextmanager
 def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Iterator[Run]:
-    """Return a context in which a run writes its files; `run.json` is written at its end, unless an error occurs.
+    """Return a context in which a run writes its files; at the end `run.json` is written, unless an error occurs.
 
     Args:
         folder: The run folder. Missing folders are made.
         kind: Name of a registered kind of run.
         command: Command line that makes the same numbers again.
-        seed: Seed of everything random.
+        seed: Seed of everything random; None where there is no seed, or several.
 
     Raises:
         InputError: If another process is writing into the folder, or the folder cannot be written.
@@ -175,7 +175,10 @@ def added_to(run: Run) -> Iterator[None]:
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """Return inode, time and size of every file in a folder but hidden ones; writing a file again changes them."""
+    """Return inode, time, ns, and size, bytes, of every file in a folder but hidden ones, by its path in the folder.
+
+    Writing a file again changes these numbers.
+    """
     stamps = {}
     for root, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
@@ -187,7 +190,7 @@ def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
 
 
 def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]:
-    """Return the SHA-256 of the files that were written since ``before``, the result of `_stamps`, was taken."""
+    """Return the SHA-256, by path in the folder, of files written since ``before``, an earlier result of `_stamps`."""
     now = _stamps(folder)
     return {name: file_sha256(folder / name) for name in sorted(now) if now[name] != before.get(name)}
 
@@ -263,7 +266,7 @@ def _faults(folder: Path, listed: Mapping[str, str], own: str) -> list[tuple[Pat
 def listed_files(folder: Path) -> Iterator[None]:
     """Return a context in which more files are written into a folder.
 
-    `LIST` is deleted when the context begins, and written when it ends.
+    The list of the folder's files (`LIST`) is deleted when the context begins, and written when the context ends.
     """
     (folder / LIST).unlink(missing_ok=True)
     yield
@@ -272,7 +275,7 @@ def listed_files(folder: Path) -> Iterator[None]:
 
 
 def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
-    """Return every file that `LIST` names or that lies in the folder, with its fault, or None for a sound file.
+    """Return every file that `LIST` names or that lies in the folder, with the file's fault, or None if it is sound.
 
     Raises:
         InputError: If the list is damaged or was edited.
@@ -282,7 +285,7 @@ def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
 
 
 def unedited(run: Run, name: str) -> Path:
-    """Return the path of one of the run's files, after a check that the file is as the run wrote it.
+    """Return the path of the run's file ``name``, after a check that the file is as the run wrote it.
 
     Raises:
         InputError: If the file is missing or not as the run wrote it.
@@ -323,7 +326,7 @@ def load_part(run: Run, kind: type[Part]) -> Part:
 
 
 def load_result(run: Run, name: str) -> dict[str, Any]:
-    """Read a file of a run's results in JSON, such as `ISO9283`.
+    """Read the file ``name`` of a run's results in JSON, such as `ISO9283`.
 
     Raises:
         InputError: If the file is missing or not as the run wrote it.

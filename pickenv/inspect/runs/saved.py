@@ -27,7 +27,7 @@ def capsules(points: Array, parts: list[int]) -> tuple[Array, Array, Array]:
 
     Args:
         points: Points of the polylines ``(..., K, 3)``, m.
-        parts: Indices of the first points of the P segments, from `drawn_parts`.
+        parts: Indices, from 0, of the first points of the P segments, from `drawn_parts`.
 
     Returns:
         Centres of the capsules' first ends ``(..., P, 3)``, m; distances between the centres of their two ends ``(...,
@@ -63,8 +63,8 @@ def shown_box(comparison: Comparison) -> tuple[Array, float]:
 def eye_direction(comparison: Comparison) -> Array:
     """Return the unit vector ``(3,)`` from the field to the camera.
 
-    The camera looks obliquely at the widest upright face from outside, that is from the side away from the arm's base.
-    An oblique view keeps cells from hiding those behind them.
+    The camera looks obliquely at the widest upright face of the field's box, from the side away from the arm's base. In
+    an oblique view, front cells hide fewer of the cells behind.
     """
     width_x, width_y, _ = comparison.grid.shape
     x, y, _ = shown_box(comparison)[0] - comparison.nominal.base.position
@@ -77,7 +77,7 @@ def eye_direction(comparison: Comparison) -> Array:
 
 
 def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
-    """Return whether each field point is in the corner nearest to the camera ``(F,)``.
+    """Return whether each point of the field ``(F,)`` is in the corner that is nearest to the camera.
 
     Voxels in that corner would hide all others.
     """
