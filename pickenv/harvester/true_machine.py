@@ -76,7 +76,7 @@ class TrueMachine:
         return np.stack([np.stack(np.broadcast_arrays(*cup), axis=-1) for cup in cups], axis=-2)
 
     def cups(self, m: Any, master: Scalars, slaves: Sequence[Scalars]) -> list[Frame]:
-        """Compute the true positions of all slaves' cups in the base frame, each as x, y and z in metres.
+        """Compute the true positions of all slaves' cups in the base frame, each as components x, y, z in metres.
 
         Args:
             m: NumPy, or `ONE` for single numbers.
@@ -94,8 +94,8 @@ class TrueMachine:
 
         Args:
             master: Commands of the master at each pick, (picks, 3).
-            arm: Index of the slave of each pick, (picks,).
-            joints: Commands of this slave, (picks, 3).
+            arm: Index, from 0 on the left, of the slave of each pick, (picks,).
+            joints: Commands of this slave, m and rad, (picks, 3).
         """
         plants, base = self.slaves, self.frame3(master)
         return _arm_by_arm(base, arm, lambda i, here, mine: behind(here, plants[i].tool_pose(joints[mine])).position)
@@ -151,7 +151,7 @@ class Controller:
 
         Args:
             master: Commands of the master at each pick, (picks, 3).
-            arm: Index of the slave of each pick, (picks,).
+            arm: Index, from 0 on the left, of the slave of each pick, (picks,).
             targets: Target positions of the cups in the base frame, m, (picks, 3).
         """
         return _arm_by_arm(self._frame3(master), arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))
@@ -161,9 +161,9 @@ class Controller:
         return forward(self.machine.master.nominal, master) if self.master is None else self.master.predict(master)
 
     def _slave_command(self, i: int, base: Pose, targets: Array) -> Array:
-        """Return the commands that bring slave ``i``'s cup, as believed, to targets in the base frame.
+        """Return the commands (..., 3) that bring the cup of slave ``i`` (from 0), as believed, to ``targets``.
 
-        ``base`` is the pose of frame 3.
+        ``base`` is the pose of frame 3, on which the slave is mounted. Targets (..., 3) and base are in the base frame.
         """
         geometry = self.machine.slaves[i].nominal
         local = np.einsum("...ji,...j->...i", base.rotation, targets - base.position)
@@ -175,12 +175,13 @@ class Controller:
 
 
 def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]) -> Array:
-    """Return rows (picks, 3), computed by ``each`` for the picks of one slave at a time.
+    """Return an array (picks, 3), computed by ``each`` for the picks of one slave at a time.
 
     Args:
-        base: Poses of frame 3 at all picks.
-        arm: Number of the slave of each pick, (picks,).
-        each: Function of a slave's number, the poses of frame 3 at its picks and the numbers of these picks.
+        base: Poses of frame 3, which carries the slaves, at all picks.
+        arm: Index, from 0, of the slave of each pick, (picks,).
+        each: Function of a slave's index, the poses of frame 3 at its picks, and the indices of these picks, from 0. It
+            returns three numbers for each of these picks.
     """
     rows = np.empty((len(arm), 3))
     for i in np.unique(arm).tolist():
@@ -221,7 +222,10 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
 
 
 def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) -> Plant:
-    """Return a slave's plant at its offset, its true base displaced by the seat's errors: right, ahead, up, m."""
+    """Return a slave's plant mounted ``offset`` m to the right, its true base displaced by the errors of its seat.
+
+    The errors are displacements to the right, ahead and up, m.
+    """
     delta = np.zeros(5 * plant.geometry.joints + 12)
     delta[-12:-9] = right, -up, ahead
     geometry = shifted(plant.geometry, offset).displaced(delta)
