@@ -62,7 +62,7 @@ class ToolSteps(Rescaling):
 
     Attributes:
         geometry: The nominal arm.
-        increment: Largest increments of the arm's joints, rad or m.
+        increment: Largest increments of the arm's joints in one step (n,), rad or m.
     """
 
     geometry: Geometry
@@ -77,7 +77,7 @@ class ToolSteps(Rescaling):
 
     @property
     def header(self) -> dict[str, list[float]]:
-        """The entries of a policy's file that describe these formulas, apart from the arm's name."""
+        """The entries of a policy's file that describe these formulas (``increment``), apart from the arm's name."""
         return {"increment": self.increment.tolist()}
 
     @property
@@ -104,7 +104,10 @@ class ToolSteps(Rescaling):
         return spaces.Box(-1.0, 1.0, (self.outputs,), dtype=np.float32)
 
     def observe(self, values: Any, xp: Any = np) -> Any:
-        """Compute the policy's observations ``(..., features)``; see `Rescaling.observe`."""
+        """Compute the policy's observations ``(..., features)`` from the environment's ``values`` ``(..., n + 17)``.
+
+        ``xp`` is the namespace of the arrays: ``numpy`` or ``torch``.
+        """
         n = self.joints
         gap, turn, others = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
         far, aside, up = vector_length(gap), vector_length(gap[..., :2]), gap[..., 2:]
@@ -116,9 +119,9 @@ class ToolSteps(Rescaling):
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Compute the environment's actions ``(..., n + 1)`` from a policy's ``actions (..., 3)``.
 
-        ``values`` are the environment's observations ``(..., n + 17)``. Actions of another shape are passed on
-        unchanged, so that the environment raises the error. If the magnitude of a number is above ``most``, or a number
-        is not finite, the result has numbers that the environment refuses.
+        ``values`` are the environment's observations ``(..., n + 17)``. Actions of another shape are returned
+        unchanged, so that the environment raises the error. If an action has a number that is not finite, or of a
+        magnitude above ``most``, the result for it has numbers that the environment refuses.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.outputs):
@@ -128,7 +131,10 @@ class ToolSteps(Rescaling):
         return np.where(wrong, np.inf if most == MOST_ACTION["clip"] else 2.0, commands).astype(np.float32)
 
     def commands(self, values: NDArray[Any], actions: Any) -> Any:
-        """Compute joint increments and gripper command ``(..., n + 1)`` from a policy's ``actions``, from -1 to 1."""
+        """Compute joint increments and gripper command ``(..., n + 1)`` from a policy's ``actions (..., 3)``.
+
+        All are from -1 to 1. ``values`` are the environment's observations ``(..., n + 17)``.
+        """
         n = self.joints
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         away = ~holding & (vector_length(values[..., n + 6 : n + 9]) > CLOSING)
@@ -139,8 +145,8 @@ class ToolSteps(Rescaling):
     def joint_steps(self, values: Array, steps: Array) -> Array:
         """Compute joint steps ``(..., n)``, as shares of the largest, for ``steps`` of the tool ``(..., 2)``.
 
-        The first number of a step, -1 to 1, is sideways, towards the vertical line through the fruit. The second is
-        upwards. ``values`` are the environment's observations ``(..., n + 17)``.
+        The first number of a tool step, -1 to 1, is sideways, towards the vertical line through the fruit. The second,
+        -1 to 1, is upwards. ``values`` are the environment's observations ``(..., n + 17)``.
         """
         n, low, high = self.joints, self.geometry.lower, self.geometry.upper
         q = low + (values[..., :n] + 1.0) / 2.0 * (high - low)
@@ -167,7 +173,8 @@ class ToolSteps(Rescaling):
         """Compute the progress of the pick, ``(...)`` from 0 to 0.8, for reward shaping.
 
         Before the grasp it is at most 0.35, and grows as the logarithm of the gap falls. It is 0.5 with a fruit in the
-        gripper and 0.6 once the fruit is detached. It then grows up to 0.8 as the fruit is brought down.
+        gripper and 0.6 once the fruit is detached. It then grows up to 0.8 as the fruit is brought down. ``values`` are
+        the environment's observations ``(..., n + 17)``.
         """
         n = self.joints
         gap = np.asarray(values[..., n + 6 : n + 9], dtype=float)
