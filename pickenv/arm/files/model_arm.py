@@ -102,7 +102,8 @@ class ModelArm:
         nominal: The geometry of the unchanged model.
         joints: Indices of the arm's joints in the model ``(n,)``.
         bodies: Indices of the bodies that these joints move ``(n,)``.
-        above: Frame of each body's parent body (n frames): the first in the world, the others in the link before.
+        above: Frame of each body's parent body (n frames): the first in world axes, each later one in the frame of the
+            previous link.
         within: Frame of each body in its link's frame (n frames).
         pivot: Axis of the last joint and a point on it, in the last link's frame ``(2, 3)``, m.
     """
@@ -192,7 +193,7 @@ def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:
     data, places, chain = mujoco.MjData(model), model.jnt_qposadr[joints], chain_of(nominal)
 
     def stands(joints: Array) -> tuple[list[Frame], list[Frame]]:
-        """Return the frames ``above`` and ``within`` of `ModelArm` at these joints ``(n,)``."""
+        """Return the frames ``above`` and ``within`` of `ModelArm`, computed at joints ``(n,)``, rad or m."""
         data.qpos[:] = model.qpos0
         data.qpos[places] = joints
         mujoco.mj_kinematics(model, data)

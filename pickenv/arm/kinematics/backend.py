@@ -33,12 +33,15 @@ def namespace_of(m: ModuleType, value: Scalar) -> ModuleType:
 
 
 def exponential(m: ModuleType, value: Scalar) -> Scalar:
-    """Return the exponential of ``value``; ``m`` is the namespace if ``value`` is no plain number."""
+    """Return the exponential of ``value``; ``m`` is ``numpy`` or ``torch`` if ``value`` is no plain number."""
     return namespace_of(m, value).exp(value)
 
 
 def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """Return ``value`` clipped to ``low`` and ``high``, both plain floats or both of the type of ``value``."""
+    """Return ``value`` clipped to ``low`` and ``high``; ``m`` is the namespace: ``math``, ``numpy`` or ``torch``.
+
+    The two limits are plain floats, or both of the type of ``value``.
+    """
     if m is math:
         return low if value < low else high if value > high else value
     if m is np:
@@ -47,7 +50,10 @@ def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
 
 
 def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
-    """Return ``yes`` where ``condition`` is true, else ``no``."""
+    """Return ``yes`` where ``condition`` is true, else ``no``.
+
+    ``m`` is the namespace: ``math``, ``numpy`` or ``torch``.
+    """
     if m is math or isinstance(condition, bool):
         return yes if condition else no
     return m.where(condition, yes, no)
@@ -65,7 +71,7 @@ def set_aside(m: ModuleType, condition: Scalar) -> bool:
 
     Args:
         m: The namespace.
-        condition: Where the rare case occurs.
+        condition: Number or array that is true where the rare case occurs.
     """
     note = getattr(m, "set_aside", None)
     return note is not None and bool(note(condition))

@@ -22,7 +22,7 @@ def plant_count(plants: Plant) -> int | None:
 
 
 def plant_at(plants: Plant, i: int) -> Plant:
-    """Return the plant of arm ``i`` of a batch, with plain numbers.
+    """Return the plant of arm ``i`` (from 0) of a batch, with plain numbers.
 
     Raises:
         IndexError: If there is no such arm.
