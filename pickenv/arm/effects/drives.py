@@ -108,7 +108,7 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
         return (self.final_rise,)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the temperature rise, K, ``dt`` seconds after it was ``memory``."""
+        """Return the memory, the temperature rise in K, ``dt`` seconds after it was ``memory``."""
         return (warmed(at.m, self, memory[0], dt),)
 
     def drawn(self, draws: Draws) -> ThermalGrowth:

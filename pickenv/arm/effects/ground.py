@@ -55,17 +55,20 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
         at.frame = (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
 
     def begin(self, at: Passage) -> Components:
-        """Return the creep about x and y, rad, and the settlement, m: all zero when the arm is switched on."""
+        """Return the memory when the arm is switched on: creep about x and y, rad, and settlement, m, all zero."""
         zero = at.command[0] * 0.0
         return zero, zero, zero
 
     def rest(self, at: Passage) -> Components:
-        """Return the final creep about x and y, rad, and the final settlement, m."""
+        """Return the memory after a long time: final creep about x and y, rad, and final settlement, m."""
         x, y = self._tilt(at)
         return self.creep * x, self.creep * y, self.settlement
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the creep about x and y, rad, and the settlement, m, ``dt`` seconds after they were ``memory``."""
+        """Return the creep about x and y, rad, and the settlement, m, ``dt`` seconds after they were ``memory``.
+
+        The joint command of ``at`` is held for this time.
+        """
         faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
         return tuple([final + (part - final) * faded for final, part in pairs])
 

@@ -324,7 +324,10 @@ class LocalStructure(Effect, place=TOOL):
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> LocalStructure:
-        """Return the local structure whose weights follow from uniform random numbers ``(..., weights)``, 0 to 1."""
+        """Return the local structure whose weights follow from uniform random numbers.
+
+        ``even`` has these numbers from 0 to 1, ``(..., weights)``, one for each weight.
+        """
         features = self.field.features
         weight = self.std * standard_normal_of(even).reshape(*even.shape[:-1], features.outputs, 2, features.count)
         return replace(self, field=replace(self.field, weight=weight.astype(np.float32)))

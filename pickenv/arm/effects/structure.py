@@ -279,7 +279,7 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
         return self.carry(at, tuple(at.joints), 0.0)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the joint positions after the motors have moved, by the play operator.
+        """Return the joint positions after the motors have moved to the positions of the passage ``at``, by `play`.
 
         ``memory`` has the joint positions before the motors moved; ``dt`` is not used.
         """
@@ -323,7 +323,7 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
         return tuple([entry + 0.5 * (backward - forward) for entry, forward, backward in numbers])
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the joint positions after the motors have moved, by the play operator.
+        """Return the joint positions after the motors have moved to the positions of the passage ``at``, by `play`.
 
         ``memory`` has the joint positions before the motors moved; ``dt`` is not used.
         """

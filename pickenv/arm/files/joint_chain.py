@@ -257,7 +257,7 @@ def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) 
         rows: Chains of joints (`JointRow`): one for an arm; for a whole robot, one per part with a sensor or a target.
         path: The file, which becomes the arm's source.
         form: The file's format, such as "URDF".
-        named: Whether the caller gave the tip; if not, the source says that it is the flange by default.
+        named: Whether the caller gave the tip; if not, the arm's source says that the tip is the flange by default.
 
     Raises:
         InputError: If `geometry_of` raises one; the message names the file.

@@ -372,7 +372,10 @@ def _follow_includes(root: Element, main: Path) -> None:
 
 
 def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
-    """Return the world and the bodies by their names, and the sites by the keys "site NAME"."""
+    """Return the world and the bodies by their names, and the sites by the keys "site NAME".
+
+    ``values`` are the settings of the file, by which the numbers in the elements under ``root`` are read.
+    """
     bodies = {WORLD: _Body(WORLD, "", identity_pose())}
     worlds = reversed(root.findall("worldbody"))
     waiting = [(world, WORLD, identity_pose(), world.get("childclass", "")) for world in worlds]
@@ -454,7 +457,7 @@ def _end(bodies: Mapping[str, _Body], tip: str | None) -> str:
 
 
 def _above(bodies: Mapping[str, _Body], key: str) -> list[str]:
-    """Return the keys of a body and of its ancestors, from the body towards the world, without the world."""
+    """Return the keys in ``bodies`` of the body ``key`` and of its ancestors, towards the world, without the world."""
     keys = []
     while key != WORLD:
         keys.append(key)

@@ -127,7 +127,7 @@ class ModelArm:
         return list(self.model.qpos0[self.places].tolist())
 
     def take(self, geometry: Geometry) -> None:
-        """Give the model's arm the base, links and tool of another geometry; bodies attached to a link move with it."""
+        """Give the model's arm the base, links and tool of another geometry; bodies attached to a link move along."""
         chain = chain_of(geometry)
         links = frames(math, chain, self.rest)[1:]
         steps = [links[0], *(frame_within(*pair) for pair in pairwise(links))]

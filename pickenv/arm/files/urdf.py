@@ -112,10 +112,10 @@ def _moving_link(robot: Element, name: str) -> Element:
 def _joint(
     robot: Element, name: str, slides: bool | None, parent: str, child: str, origin: Pose, limits: Sequence[float] = ()
 ) -> Element:
-    """Add a joint between the links ``parent`` and ``child`` to a robot; its axis is z of its frame ``origin``.
+    """Add a joint between the links ``parent`` and ``child`` to a robot, along or about z of its own frame.
 
-    A joint slides or turns as ``slides`` says; it is fixed for None. ``limits`` has its lower limit, upper limit and
-    speed, rad and rad/s or m and m/s.
+    ``origin`` is the pose of this frame in the parent link. The joint slides if ``slides`` is true, turns if false, and
+    is fixed for None. ``limits`` has its lower limit, upper limit and speed, rad and rad/s or m and m/s.
     """
     kind = "fixed" if slides is None else "prismatic" if slides else "revolute"
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)

@@ -60,7 +60,10 @@ def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
 
 
 def possible(m: ModuleType, condition: Scalar) -> bool:
-    """Return whether ``condition`` may be true in some entry; always True with torch, to avoid waiting for the GPU."""
+    """Return whether ``condition`` may be true in some entry; always True with torch, to avoid waiting for the GPU.
+
+    ``m`` is the namespace: ``math``, ``numpy`` or ``torch``.
+    """
     return bool(condition) if m is math else bool(np.any(condition)) if m is np else True
 
 
@@ -70,7 +73,7 @@ def set_aside(m: ModuleType, condition: Scalar) -> bool:
     Whoever runs the traced formula computes that case separately. Always False for `math`, `numpy` and `torch`.
 
     Args:
-        m: The namespace.
+        m: The namespace of the formula: ``math``, ``numpy``, ``torch`` or one that traces.
         condition: Number or array that is true where the rare case occurs.
     """
     note = getattr(m, "set_aside", None)
@@ -81,7 +84,7 @@ def outside(m: ModuleType, function: Callable[..., None], values: Scalars, rows:
     """Record the call of a function of whole arrays, if ``m`` is a namespace that traces formulas.
 
     Args:
-        m: The namespace.
+        m: The namespace of the formula: ``math``, ``numpy``, ``torch`` or one that traces.
         function: Function that takes an input array ``(k, N)`` and an output array ``(rows, N)`` and fills the output.
             Columns are independent of one another.
         values: The k inputs.
@@ -95,5 +98,8 @@ def outside(m: ModuleType, function: Callable[..., None], values: Scalars, rows:
 
 
 def nearest_whole(m: ModuleType, value: Scalar) -> Scalar:
-    """Return the integer nearest to ``value``; halves are rounded to the even neighbour, as in IEEE 754."""
+    """Return the integer nearest to ``value``; halves are rounded to the even neighbour, as in IEEE 754.
+
+    ``m`` is the namespace: ``math``, ``numpy`` or ``torch``.
+    """
     return float(round(value)) if m is math else m.round(value)

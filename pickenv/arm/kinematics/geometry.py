@@ -179,9 +179,10 @@ class Geometry:
 
     @property
     def link_names(self) -> tuple[str, ...]:
-        """One name per link, shape (L,): the joint's name, with a number if the joint moves several links.
+        """One name per link, shape (L,): the name of the joint that moves it.
 
-        A fixed link has the name "mount of JOINT", with the joint that `owners` gives for it.
+        If a joint moves several links, the link's number among them follows, from 1: "J2 (1 of 2)". A fixed link has
+        the name "mount of JOINT", with the joint that `owners` gives for the link.
         """
         names = []
         for i, (joint, ratio) in enumerate(zip(self.owners, self.ratios, strict=True)):

@@ -131,7 +131,11 @@ class Trace:
 
 
 def _binary(name: str, kind: str | None = None, swapped: bool = False) -> Callable[[Traced, Any], Any]:
-    """Return an operator method for `Traced`; ``kind`` is the result's type if it differs from the operands' type."""
+    """Return an operator method for `Traced`, which records the operation ``name``, such as "add".
+
+    ``kind`` is the result's type if it differs from the operands' type. If ``swapped``, the operands change places, as
+    ``__radd__`` needs.
+    """
 
     def operator(self: Traced, other: Any) -> Any:
         if not isinstance(other, Traced | bool | int | float | np.generic):
@@ -230,7 +234,10 @@ def _summed(square: Scalar, first: int) -> Scalar:
 
 
 def _function(name: str, plain: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of `Traced` and plain numbers; for plain numbers alone it calls NumPy's function ``plain``."""
+    """Return a function of `Traced` and plain numbers, which records the operation ``name``, such as "sqrt".
+
+    For plain numbers alone it calls NumPy's function ``plain``.
+    """
 
     def function(*values: Scalar) -> Scalar:
         if (trace := _trace_of(values)) is None:

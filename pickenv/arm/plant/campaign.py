@@ -160,7 +160,7 @@ class Instrument:
             simulating moves: the arm is warm, the ground at rest, friction and backlash in the middle of their bands.
         warm_up: Time for which the arm rests in the middle of the joints' ranges before the first move, s.
         period: Control period of the moves from pose to pose, s. Moves are at full speed.
-        noise: The instrument's errors. None for those of the effect "measurement_noise" of the plant (the
+        noise: The instrument's errors. None for the errors in the effect "measurement_noise" of the plant (the
             simulated true arm).
     """
 
@@ -214,7 +214,8 @@ def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDr
     Args:
         plant: The simulated true arm.
         poses: Number of poses P.
-        rng: Random generator of the numbers for readings. A child spawned from it gives those for mounting and stops.
+        rng: Random generator of the numbers for readings. A child spawned from it gives the numbers for mounting and
+            stops.
     """
     (child,) = rng.spawn(1)
     band, shape = plant.effect("stick_band"), (poses, 2, plant.geometry.joints)

@@ -47,7 +47,7 @@ NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / mat
 
 @dataclass(frozen=True)
 class Iso9283Settings:
-    """Settings of the test; the default values are those of the standard where it gives them.
+    """Settings of the test by ISO 9283; default values are those of the standard where the standard gives a value.
 
     Attributes:
         cycles: Number of measurements per pose.
