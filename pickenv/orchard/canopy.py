@@ -33,7 +33,7 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
     """Draw positions and diameters of the fruit in one canopy.
 
     The square blocks of the fruit map become rectangles, so that a whole number of them fills the canopy's height
-    and width. The expected number of fruit per metre of row is unchanged.
+    and width. The expected number of fruit per metre of the row of trees is unchanged.
 
     Args:
         fruit_map: Distribution of the number of fruit per block of the fruiting wall.
