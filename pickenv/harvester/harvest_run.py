@@ -37,12 +37,13 @@ class Strategy:
         controller: Controller that converts nominal joints to commands by models of the true arms (its beliefs).
         pick_point: Name of the method of `pickenv.harvester.pick_point`, which says where the master stands for a zone.
         assignment: Name of the method of `pickenv.harvester.assign`, which says which arm picks which fruit.
-        guard: Whether a side arm waits while its ultrasonic ranger measures that a middle arm is too near.
+        guard: Whether a side arm (even index, from 0 on the left) waits while its ultrasonic ranger measures that a
+            middle arm (odd index) is too near.
         looks: Largest number of pictures of a zone. After each picture and its picks, another picture is taken only if
             some of these picks detached no fruit.
         unload_full: If true, the tubes are emptied only when one is full, and at the end. Otherwise they are emptied
             after each zone.
-        detector: Detector that reads the pictures, one of `pickenv.orchard.DETECTORS`.
+        detector: Detector that finds fruit in the pictures: "li2016" or "circles" (`pickenv.orchard.DETECTORS`).
     """
 
     name: str
@@ -371,7 +372,7 @@ def work_trees(
         count: Number of trees.
         seed: Seed of the trees and of their harvest.
         workers: Number of processes.
-        vision: Model of what the cameras show, one of `pickenv.orchard.VISIONS`.
+        vision: Model of what the cameras show: "rendered", "measured_errors" or "ideal" (`pickenv.orchard.load_eyes`).
 
     Returns:
         The record of each tree.

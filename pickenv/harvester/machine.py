@@ -34,7 +34,8 @@ class Body:
     Attributes:
         radius: Radius of the capsule, m.
         margin: Least allowed distance between the surfaces of two arms, m.
-        guard: A side arm waits while its ultrasonic ranger measures less than this distance between surfaces, m.
+        guard: Distance between surfaces, m: a side arm (even index, from 0 on the left) waits while its ultrasonic
+            ranger measures less.
     """
 
     radius: Annotated[float, MM.positive]
@@ -49,7 +50,9 @@ class Body:
 
 @toml_table
 class Ranger:
-    """Ultrasonic rangers of a side arm: one on each flank of its cup, looking sideways at the neighbouring arm.
+    """Ultrasonic rangers of a side arm (even index, from 0 on the left): one on each flank of its cup.
+
+    They measure sideways, towards the neighbouring arms, which are middle arms (odd index).
 
     Attributes:
         farthest: Longest distance from which an echo returns, m.
@@ -137,12 +140,12 @@ class Machine:
 
     @property
     def a2(self) -> float:
-        """Offset of frame 3 from the master's axis, m: 155 mm in the paper."""
+        """Offset of frame 3, which carries the slaves, from the master's vertical axis, m: 155 mm in the paper."""
         return float(self.master.nominal.a[2])
 
     @property
     def a4(self) -> float:
-        """Distance by which the pivots of the slaves lie ahead of frame 3, m: 52 mm in the paper."""
+        """Distance of the slaves' pivots from frame 3 along the master's heading, m: 52 mm in the paper."""
         return float(self.slave.a[1])
 
     @property
@@ -430,7 +433,10 @@ def refuse_touching_arms(machine: Machine) -> None:
 
 
 def shifted(slave: Geometry, offset: float) -> Geometry:
-    """Return the geometry of a slave mounted ``offset`` m farther to the right, with a3 larger by this amount."""
+    """Return the geometry of a slave mounted ``offset`` m farther to the right, as seen along the master's heading.
+
+    Its a3 is larger by this offset.
+    """
     return replace(slave, a=np.concatenate([slave.a[:1] + offset, slave.a[1:]]))
 
 

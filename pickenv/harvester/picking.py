@@ -127,7 +127,7 @@ def attempt(
 
 
 def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Flags:
-    """Return flags (m,): whether the cup's wall would meet each of the other fruit on its way to the fruit to take.
+    """Return flags (m,): whether the cup's wall would meet each fruit in ``near`` on its way to the fruit to take.
 
     Only fruit beside or just below the fruit to take is in the way.
 

@@ -55,7 +55,7 @@ class TrueMachine:
         return replace(self, master=plants[0], slaves=tuple(plants[1:]), repeatability=0.0)
 
     def frame3(self, master: ArrayLike) -> Pose:
-        """Return the true pose of frame 3 in the base frame, for master commands (..., 3)."""
+        """Return the true pose of frame 3 (the slaves' mounting) in the base frame, for master commands (..., 3)."""
         return self.master.tool_pose(master)
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
@@ -134,7 +134,8 @@ class Controller:
     def master_command(self, master: ArrayLike) -> Array:
         """Return the master's commands (..., 3) for nominal joints (..., 3), corrected by the belief about the master.
 
-        At the commands, the believed frame 3 has its origin where the nominal joints put the nominal frame 3.
+        Frame 3 carries the slaves. At the commands, the belief puts the origin of frame 3 where the nominal geometry
+        puts it at the nominal joints.
         """
         machine, nominal = self.machine, np.asarray(master, dtype=float)
         if self.master is None:
@@ -157,7 +158,7 @@ class Controller:
         return _arm_by_arm(self._frame3(master), arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))
 
     def _frame3(self, master: Array) -> Pose:
-        """Return the pose of frame 3 that the belief about the master predicts for commands (..., 3)."""
+        """Return the pose of frame 3 (the slaves' mounting) that the belief predicts for master commands (..., 3)."""
         return forward(self.machine.master.nominal, master) if self.master is None else self.master.predict(master)
 
     def _slave_command(self, i: int, base: Pose, targets: Array) -> Array:
@@ -191,9 +192,9 @@ def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]
 
 
 def _local_inverse(slave: Geometry, local: Array) -> Array:
-    """Return a slave's joints (..., 3), clipped to the limits, for cup positions (..., 3), m, in frame 3.
+    """Return a slave's joints (..., 3), clipped to the limits, that bring its nominal cup to positions in frame 3.
 
-    Frame 3 has x right, y down and z ahead.
+    ``local`` has these positions (..., 3), m. Frame 3 carries the slaves; it has x right, y down and z ahead.
     """
     right, down, ahead = local[..., 0] - slave.a[0], local[..., 1], local[..., 2] - slave.a[1]
     joints = np.stack([-down, np.arctan2(-right, ahead), np.hypot(right, ahead)], axis=-1)

@@ -211,7 +211,7 @@ ALONG = np.linspace(0.0, 1.0, 25)
 
 
 def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
-    """Return the distances that a side arm's rangers measure to the nearest surface of a middle arm in their cones.
+    """Return the distance that a side arm's rangers measure to the nearest surface of a middle arm in their cones.
 
     Args:
         machine: The machine.
@@ -241,9 +241,9 @@ def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
 def ultrasonic_hold(machine: Machine, work: Work, rng: np.random.Generator) -> Hold:
     """Return Li's waiting rule for `timetable`: a side arm stays at rest while it measures a middle arm too near.
 
-    The arm measures once in each period of its ranger, with the ranger's noise. It starts at the first measurement that
-    is not below `Body.guard`. It waits at most until the picks that middle arms have begun are over. A middle arm that
-    returns no echo does not stop it.
+    Side arms have even indices, middle arms odd indices, from 0 on the left. The side arm measures once in each period
+    of its ranger, with the ranger's noise. It starts at the first measurement that is not below `Body.guard`, at the
+    latest when the picks that middle arms have begun are over. A middle arm without an echo does not stop it.
 
     Args:
         machine: The machine.
