@@ -154,8 +154,8 @@ def statistic_interval(
 ) -> Ends | None:
     """Return the 95 % interval of a smooth statistic of a table's rows, such as a ratio of sums, by the jackknife.
 
-    It is the interval of the mean of the jackknife pseudo-values, shifted by the statistic of all rows minus this mean.
-    Quantiles are not smooth; use `quantile_interval` for them.
+    The interval of the mean of the jackknife pseudo-values is computed. It is then shifted by the difference between
+    the statistic of all rows and this mean. Quantiles are not smooth; use `quantile_interval` for them.
 
     Args:
         table: One row per tree, arm or other independent unit, ``(n, ...)``.

@@ -109,7 +109,10 @@ class Unit:
         return replace(self, least=least)
 
     def within(self, least: float, most: float, why: str = "") -> Unit:
-        """Return this unit, for numbers from ``least`` to ``most`` only, in the file's unit, both included."""
+        """Return this unit, for numbers from ``least`` to ``most`` only, in the file's unit, both included.
+
+        ``why`` is the reason for the bounds, which messages state.
+        """
         return replace(self, least=least, most=most, why=why)
 
     @property
