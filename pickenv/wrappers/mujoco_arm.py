@@ -41,9 +41,9 @@ def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
 class _Hung:
     """The parts of a model that are fixed to the tool, with a method that shifts them to where the true tool has them.
 
-    The bodies from that of the last joint to that of the tool's site keep their frames and inertias, because the site's
-    readings and welds to mocap bodies depend on these. (A task that starts each move from the welded body's pose would
-    drift.) Only the geoms and cameras of these bodies are shifted, and bodies attached to the bodies, such as fingers.
+    The bodies from the last joint to the tool's site keep their frames and inertias, because the site's readings and
+    welds to mocap bodies depend on frames and inertias. (A task that starts each move from the welded body's pose would
+    drift.) Only the geoms and cameras of these bodies are shifted, and all bodies attached to them, such as fingers.
     """
 
     def __init__(self, model: Any, data: Any, nominal: Geometry) -> None:

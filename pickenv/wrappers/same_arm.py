@@ -394,7 +394,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     | then 1    | whether there was such a pick                                      | 0   | 1   | 1    |
 
     The reward of a pick is that of `pickenv/Reach-v0` for the gap between tool and fruit that the camera measured,
-    averaged over all looks. A real arm could measure it, so a policy may observe it. With `reward="true"` the reward is
+    averaged over the steps. A real arm could measure it, so a policy may observe it. With `reward="true"` the reward is
     computed from the tool's true pose. This reward has no noise. A policy that observed it could locate the fruit with
     a few probing aims, so use it for training only. A run is truncated after its last pick. `info` has the errors of
     `pickenv/Reach-v0`, the number of picks so far as `pick`, and the arm's number (from 0) as `arm`. Every run has the
@@ -474,10 +474,10 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     each fruit in the gripper, the error of arm and camera. The step that ends a canopy returns the first observation of
     the next one. The run is truncated after the last canopy.
 
-    The reward of a step is 1 for each collected fruit, minus 0.002. A real arm could measure it, so a policy may
-    observe it. With `reward="true"` it is the reward of `pickenv/Pick-v0`, which includes damage. `info` is that of the
-    environment, with four more entries: `canopy` (number of finished canopies), `arm` (the arm's number), and
-    `run_attempted` and `run_collected` (counts of fruit in the run so far).
+    The reward of a step is 1 for each collected fruit, minus 0.002. A real arm could measure this reward, so a policy
+    may observe it. With `reward="true"` the reward is that of `pickenv/Pick-v0`, which includes damage. `info` has four
+    more entries than the environment's: `canopy` (number of finished canopies), `arm` (the arm's number, from 0),
+    and `run_attempted` and `run_collected` (counts of fruit in the run so far).
 
     Example:
         >>> import gymnasium as gym
@@ -498,8 +498,8 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Wrap ``env``.
 
         Args:
-            env: A `pickenv/Pick-v0`. Make it with `arms="per_episode"` or with a `difficulty` that has a population,
-                else every run has the same arm.
+            env: A `pickenv/Pick-v0`. Make it with `arms="per_episode"` or with a `difficulty` that has a population of
+                arms, else every run has the same arm.
             canopies: Number of canopies in a run.
             hours: Hours for which the arm has been switched on at the first and at the last canopy.
             reward: "measured", which a real arm could measure, or "true", for training in simulation only.

@@ -192,10 +192,11 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
     numbers from -1 to 1. The first adds to the sideways step, the second to the upward step. An action of zero moves at
     most 15 mm in each of the two directions, and 1 adds at most 30 mm. Sideways steps shrink with the sideways gap
     below 50 mm, upward steps with the whole gap below 50 mm. With a fruit in the gripper the first number has no
-    effect, and the second moves the tool up or down by up to 30 mm. The third number is the gripper's. Above zero an
-    empty gripper closes, if the gap is at most 15 mm. With a fruit, the gripper twists as for the number + 0.5 (at most
-    1) in `pickenv/Pick-v0`. The gripper never opens again. The tool is kept upright, and the arm does not move once the
-    gap is below 0.2 mm. With n joints the observation is `Box(float32)` of n + 12 numbers:
+    effect, and the second moves the tool up or down by up to 30 mm. The third number commands the gripper. An empty
+    gripper closes if the number is above zero and the gap at most 15 mm. A gripper with a fruit twists as at the
+    gripper command number + 0.5 (at most 1) of `pickenv/Pick-v0`. The gripper never opens again. The tool is kept
+    upright, and the arm does not move once the gap is below 0.2 mm. With n joints the observation is `Box(float32)` of
+    n + 12 numbers:
 
     | Num          | Observation                                                        | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------------|-----|-----|--------------|
@@ -211,9 +212,9 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
         shaping: A discount g, above 0 and at most 1, or None. With g, each reward gets g P' - P added, where P and P'
             are the potentials before and after the step. Before the grasp the potential is 0.35 (1 - log10(1 + gap in
             mm) / 3), at least 0. It is 0.5 with a fruit in the gripper, 0.6 once the fruit is detached, and up to 0.8
-            as it is brought down. It is 0 once no fruit is left. This does not change which policy has the largest
-            return discounted with g (Ng, Harada and Russell 1999); 1 is for the undiscounted return. None, the default,
-            leaves rewards as they are.
+            as it is brought down. It is 0 once no fruit is left. Shaping does not change which policy has the largest
+            return discounted with g (Ng, Harada and Russell 1999); g = 1 is for the undiscounted return. None, the
+            default, leaves rewards as they are.
 
     Example:
         >>> import gymnasium as gym
