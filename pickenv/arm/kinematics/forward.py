@@ -399,10 +399,10 @@ def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
 
 
 def drawn_parts(points: Array) -> list[int]:
-    """Return which segments of polylines of K points are long enough to draw: index, from 0, of each one's first point.
+    """Return the index, from 0, of the first point of each segment of polylines that is long enough to draw.
 
-    ``points`` ``(..., K, 3)``, m, has one polyline per pose. A segment is drawn if it exceeds `SHORTEST_LINK` in some
-    pose.
+    ``points`` ``(..., K, 3)``, m, has one polyline of K points per pose. A segment between neighbouring points is long
+    enough if it exceeds `SHORTEST_LINK` in some pose.
     """
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1).reshape(-1, points.shape[-2] - 1)
     return [int(i) for i in np.flatnonzero(lengths.max(axis=0) > SHORTEST_LINK)]
