@@ -138,7 +138,8 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             env: The environment.
             nominal: Geometry of the arm in the environment's model (`geometry_in_mujoco`), with the model's joint
                 names.
-            true: The true arm: a plant (an arm with its errors) without memory, or a geometry.
+            true: The true arm: a geometry, or a plant (an arm with its errors) without memory, which means that no
+                effect depends on earlier commands.
             compensator: Function from joint targets to joint commands of the true arm, such as a calibration's; None to
                 send targets unchanged.
             contact: Whether the parts fixed to the tool are shifted to where the true arm has them; see the class.

@@ -156,7 +156,10 @@ class Sb3Vec(VecEnv):
         yield env
 
     def _remembering(self) -> Any:
-        """Return the outermost layer with `state_arrays`, which includes the state of all layers inside it."""
+        """Return the outermost wrapper, or the environments, with a method `state_arrays`.
+
+        The method includes the state of all wrappers inside that wrapper.
+        """
         return next(env for env in self._layers() if hasattr(env, "state_arrays"))
 
     def _scaled(self) -> ScaledVector | None:
