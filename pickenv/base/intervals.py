@@ -509,9 +509,9 @@ def estimate(
             the sums of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or
             from the first of two columns to the second. A probability, such as 0.95: that quantile over units. A
             function: it is applied to the units' means ``(units, values)``.
-        against: Values of some ``by`` columns that mark reference rows, such as {"stage": "raw"}. If given, an estimate
-            is the paired difference: combination minus its reference, which has the same values of all other ``by``
-            columns. References, and combinations without a reference, get no estimate.
+        against: Values of some ``by`` columns that mark the reference, such as {"compensation": "raw"}. If given, an
+            estimate is the paired difference: combination minus its reference, which has the same values of all other
+            ``by`` columns. References, and combinations without a reference, get no estimate.
         least: Smallest number of units for an interval of a mean.
         lost: Limit above which a value counts as lost. The mean leaves lost values out, and their share is estimated
             separately. Otherwise a few values ten times as large as the others would change the mean much, and a sample
