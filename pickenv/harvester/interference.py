@@ -144,8 +144,8 @@ def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Arr
         approach: Distance below each fruit at which the cup starts to rise, m, (n,).
 
     Returns:
-        Distances between the centre lines of an arm on the way to a fruit and of another arm on the way to a fruit, m,
-        (arms, n, arms, n); infinite between excursions of one arm.
+        Distances between the centre lines of the two arms, m, (arms, n, arms, n): by arm and fruit of the first
+        excursion, then of the second. They are infinite between excursions of one arm.
     """
     arms, n = joints.shape[:2]
     share = np.array([0.0, 0.34, 0.67, 1.0])[:, None, None]
