@@ -108,7 +108,7 @@ def read_sealed_json(path: Path, what: str, remake: str, *keys: str) -> dict[str
     Args:
         path: The file.
         what: What the file should be, for the message: "a list of files".
-        remake: What the user should do about a damaged file, as the end of the message.
+        remake: What the user should do about a damaged file, as the end of the message: "make it again".
         keys: Keys that the record must have.
 
     Raises:
@@ -159,7 +159,7 @@ def write_container(
 
     Args:
         path: The file (.npz).
-        kind: Kind of the file, in a word or two.
+        kind: Kind of the file, in a word or two: "calibration".
         header: Numbers and text by name (JSON).
         arrays: Arrays of numbers or text by name.
         blobs: Further bytes by name, such as another program's file.
@@ -236,7 +236,10 @@ def _bounded(path: Path, limit: int) -> bytes:
 
 
 def _verified(content: bytes, limit: int) -> Container:
-    """Return the container in the bytes of a file; raise an exception of any type if they are not a container."""
+    """Return the container in the bytes of a file; raise an exception of any type if they are not a container.
+
+    ``limit`` is the largest size of the unpacked content, bytes.
+    """
     if content[-LENGTH:] != seal(memoryview(content)[:-LENGTH]):
         raise ValueError("its seal does not hold: a byte was changed or lost")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -271,7 +274,10 @@ def _verified(content: bytes, limit: int) -> Container:
 
 
 def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, Any]:
-    """Return the entry for an array in the header: its type, shape, memory order and SHA-256."""
+    """Return the entry for an array in the header: its type, shape, memory order and SHA-256.
+
+    ``numbers`` are the bytes that hold the array's numbers in the file; ``name`` is for the message of an error.
+    """
     if not PLAIN.fullmatch(value.dtype.str):
         raise TypeError(f"array {name!r} holds {value.dtype}; only numbers and text can be saved")
     fortran = value.flags.f_contiguous and not value.flags.c_contiguous
@@ -279,7 +285,10 @@ def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, An
 
 
 def _preamble(entry: Mapping[str, Any]) -> bytes:
-    """Return the bytes before the numbers in a .npy file (version 1.0); raise an error if type or shape is invalid."""
+    """Return the bytes before the numbers in a .npy file (version 1.0); raise an error if type or shape is invalid.
+
+    ``entry`` is the array's entry in the header, as from `_description`.
+    """
     dtype, shape = str(entry["dtype"]), entry["shape"]
     lengths_fit = len(shape) <= MOST_AXES and all(type(length) is int and length >= 0 for length in shape)
     if not PLAIN.fullmatch(dtype) or not lengths_fit:
@@ -290,7 +299,7 @@ def _preamble(entry: Mapping[str, Any]) -> bytes:
 
 
 def _size(entry: Mapping[str, Any]) -> int:
-    """Return the number of bytes that an array's numbers take."""
+    """Return the number of bytes that an array's numbers take, from the array's entry in the header."""
     return int(math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize)
 
 
@@ -356,7 +365,7 @@ def check_sealed_parquet(content: bytes, path: object, remake: str) -> None:
     Args:
         content: The file's bytes.
         path: The file's name, for the message.
-        remake: What the user should do about a refused file, as the end of the message.
+        remake: What the user should do about a refused file, as the end of the message: "record it again".
 
     Raises:
         InputError: If there is no seal, or the seal does not match the other bytes.

@@ -46,12 +46,12 @@ def missing(module: str) -> MissingExtra:
 
 
 def command_for(*extras: str) -> str:
-    """Return the command that adds extras to the installed pickenv."""
+    """Return the shell command that adds extras, given by their names, to the installed pickenv."""
     return f"pip install 'pickenv[{','.join(extras)}]'"
 
 
 def absent_extras(*extras: str) -> tuple[str, ...]:
-    """Return those of ``extras`` of which at least one package is not installed."""
+    """Return the names of those extras of which at least one package is not installed."""
     return tuple(extra for extra in extras if not all(map(is_there, EXTRAS[extra])))
 
 

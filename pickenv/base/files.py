@@ -82,7 +82,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
-    """Return ``error`` if it is an OSError, else the full-disk error that came before it; None if there is neither."""
+    """Return ``error`` if it is an OSError, else the full-disk error from which it followed; None without either."""
     if isinstance(error, OSError):
         return error
     before = None if error is None else error.__context__
@@ -106,7 +106,7 @@ def _machine() -> str:
 
 @cache
 def _sweep(folder: Path) -> None:
-    """Remove the temporary files of this machine's ended processes from a folder, at the first call for the folder."""
+    """Remove from a folder the temporary files of this machine's ended processes; later calls for it do nothing."""
     if not os.access(folder, os.R_OK):
         return
     ours = re.compile(rf"\.pickenv-{_machine()}-(\d+)-[0-9a-f]{{8}}(\..*)?")
@@ -156,7 +156,7 @@ def _write_into(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 def _stream(path: Path) -> int | None:
-    """Return 1 or 2 if ``path`` is the target of standard output or standard error (/dev/stdout), else None."""
+    """Return the descriptor of the stream that ``path`` is: 1 for standard output, 2 for standard error; else None."""
     for number in (1, 2):
         with suppress(OSError):  # a closed stream, a file that is not there yet
             if os.path.samestat(os.fstat(number), path.stat()):
@@ -181,9 +181,9 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
     files of one option, such as those of a run folder, are compared only with other options' files.
 
     Args:
-        inputs: Files that are read, by the option's name. Names that are not files, such as an arm's "ur5", are
-            ignored. Of "arm.urdf#tip" only the part before "#" counts.
-        outputs: Files that will be written, by the option's name.
+        inputs: Files that are read, by the name of the option that names them, such as "--arm". Names that are not
+            files, such as an arm's "ur5", are ignored. Of "arm.urdf#tip" only "arm.urdf" counts.
+        outputs: Files that will be written, by the name of the option that names them, such as "--out".
 
     Raises:
         InputError: If an output is an input or another option's output. The message names both options. Also if an
@@ -201,14 +201,14 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
 
 
 def _paths(named: Named) -> Iterator[Path]:
-    """Yield the paths of the files that an option names."""
+    """Yield the paths of the files that an option names: none for None, one for a path, else several."""
     for name in () if named is None else (named,) if isinstance(named, str | Path) else named:
         path, _, tip = str(name).rpartition("#")
         yield Path(path) if path.endswith((".urdf", ".xml")) and tip else Path(name)
 
 
 def _check_name(path: Path) -> None:
-    """Raise an error if an output's name is too long or is that of a folder, before hours of computing."""
+    """Raise an error if an output's name is too long or is that of a folder; call it before hours of computing."""
     try:
         folder = path.exists() and path.is_dir()
     except OSError as error:

@@ -110,7 +110,10 @@ def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 
 @cache
 def _slow_waves(count: int) -> tuple[Array, float]:
-    """Return the cosines ``(waves, count)`` that give the narrowest interval, and this interval's critical value."""
+    """Return the cosines ``(waves, count)`` that give the narrowest interval, and this interval's critical value.
+
+    ``count`` is the number of values in the series. The critical value is the ``critical`` of `_beyond`.
+    """
     from scipy.optimize import brentq
     from scipy.special import gammaln
 
@@ -151,11 +154,11 @@ def statistic_interval(
 ) -> Ends | None:
     """Return the 95 % interval of a smooth statistic of a table's rows, such as a ratio of sums, by the jackknife.
 
-    It is the interval of the mean of the jackknife pseudo-values, shifted by the statistic of all rows minus this mean.
-    Quantiles are not smooth; use `quantile_interval` for them.
+    The interval of the mean of the jackknife pseudo-values is computed. It is then shifted by the difference between
+    the statistic of all rows and this mean. Quantiles are not smooth; use `quantile_interval` for them.
 
     Args:
-        table: One row per tree or arm, ``(n, ...)``.
+        table: One row per tree, arm or other independent unit, ``(n, ...)``.
         statistic: Function that computes one number from rows.
         least: Smallest number of rows for which there is an interval.
         ordered: Whether neighbouring rows are correlated. If so, `ordered_interval` is used instead of `mean_interval`.
@@ -228,9 +231,10 @@ def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> End
 
 
 def _ratio_spread(above: Array, below: Array) -> tuple[float, float]:
-    """Return the variance of a ratio of sums over n > 1 clusters, and its degrees of freedom.
+    """Return the variance of a ratio of sums over n > 1 clusters, and the variance's degrees of freedom.
 
-    Equally large clusters give n - 1 degrees of freedom.
+    ``above`` has the term of the numerator for each cluster ``(n,)``, ``below`` that of the denominator. Equally large
+    clusters give n - 1 degrees of freedom.
     """
     weight = below / below.sum()
     residual = (above - above.sum() / below.sum() * below) / below.sum()
@@ -246,7 +250,10 @@ def _ratio_spread(above: Array, below: Array) -> tuple[float, float]:
 
 
 def pseudo_values(table: Array, statistic: Statistic) -> Array:
-    """Return Tukey's jackknife pseudo-values of a statistic ``(n,)``, one per row; for a mean, these are the values."""
+    """Return Tukey's jackknife pseudo-values of a statistic ``(n,)``, one per row of a table ``(n, ...)``.
+
+    For the mean of a column, the pseudo-values are the column's values.
+    """
     n = len(table)
     value = float(statistic(table))
     return np.array([n * value - (n - 1) * float(statistic(np.delete(table, i, axis=0))) for i in range(n)])
@@ -303,9 +310,9 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
     """Return the 95 % interval of the share of successes over clusters of trials, such as the fruit of many arms.
 
     It is Wilson's interval for an effective number of trials. This number follows from the variance of the
-    share between clusters (the design effect; Korn and Graubard 1998). Only clusters with a failure count for the
-    degrees of freedom of this variance, or only those with a success if these are fewer. If all clusters have the same
-    share, the effective number is the number of clusters, or less if their sizes differ.
+    share between clusters (the design effect; Korn and Graubard 1998). The degrees of freedom of this variance count
+    the clusters with a failure, or the clusters with a success if there are fewer of them. If all clusters have the
+    same share, the effective number is the number of clusters, or less if their sizes differ.
 
     Args:
         successes: The number of successes in each of n clusters ``(n,)``, or the sum of their probabilities.
@@ -388,7 +395,7 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
     from scipy.special import betainc
 
     def beyond(rank: float, tail: float) -> float:
-        """Return the probability that the order statistic of this rank lies below the quantile, minus ``tail``."""
+        """Return the probability, minus ``tail``, that the value of this rank (from 1) lies below the quantile."""
         return float(betainc(rank, count + 1.0 - rank, probability)) - tail
 
     def end(tail: float, side: float, innermost: float, outermost: float) -> float | None:
@@ -409,7 +416,7 @@ def _equal(values: Array) -> bool:
 
 
 def _unskewed(standardised: float, skewness: float, n: int) -> float:
-    """Invert Hall's transformation: the standardised mean with the skewness put back."""
+    """Return the standardised mean of ``n`` skewed values that Hall's transformation turns into ``standardised``."""
     if abs(skewness) < 1e-6:
         return standardised
     a = skewness / 3.0
@@ -494,16 +501,17 @@ def estimate(
         columns: The table's columns by name, such as those of `pickenv.experiments.Rows`.
         value: The column to estimate; several columns for a statistic of them.
         by: Grouping columns. Each combination of their values has one estimate, in the order of the rows.
-        over: One or two columns of random units (such as arms, and training seeds) that the intervals are over. Within
-            a combination, rows of the same units are averaged. Over two columns only means, and shares of one column,
-            have intervals.
+        over: One or two columns that name the random units (such as arms, and training seeds) over which estimates
+            vary. Within a combination, table rows of the same units are averaged. Over two columns, only means and
+            shares of one column have intervals.
         of: The statistic, which is one of the following. "mean": the mean. "share": the share of successes, from one
             column of successes or their probabilities, or from two columns, successes and trials. "ratio": the ratio of
             the sums of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or
             from the first of two columns to the second. A probability, such as 0.95: that quantile over units. A
             function: it is applied to the units' means ``(units, values)``.
-        against: Values of some ``by`` columns, which name a reference. If given, an estimate is the paired difference:
-            combination minus reference. References, and combinations without a reference, get no estimate.
+        against: Values of some ``by`` columns that mark the reference, such as {"compensation": "raw"}. If given, an
+            estimate is the paired difference: combination minus its reference, which has the same values of all other
+            ``by`` columns. References, and combinations without a reference, get no estimate.
         least: Smallest number of units for an interval of a mean.
         lost: Limit above which a value counts as lost. The mean leaves lost values out, and their share is estimated
             separately. Otherwise a few values ten times as large as the others would change the mean much, and a sample
@@ -511,9 +519,9 @@ def estimate(
 
     Returns:
         For each combination, a dictionary of the ``by`` columns, "estimate", "units", "runs" and perhaps "lost".
-        "estimate" is an `Estimate`. "units" is each unit's mean ``(units,)``. "runs" is each run's mean ``(runs,)``, or
-        None if ``over`` has one column. "lost" is an `Estimate` of the lost share, if ``lost`` is given. "units" and
-        "runs" are None for "removed" and for a statistic of several columns.
+        "estimate" is an `Estimate`. "units" is the mean of each unit of the first ``over`` column ``(units,)``. "runs"
+        is the mean of each unit of the second ``(runs,)``, or None if there is only one. "lost" is an `Estimate` of the
+        lost share, if ``lost`` is given. "units" and "runs" are None for "removed" and a statistic of several columns.
 
     Raises:
         ValueError: If the units of a combination do not have equally many rows, or both sides of a difference do not
@@ -557,7 +565,7 @@ def estimate(
 
 
 def _without_lost(values: Array, lost: float, least: int) -> dict[str, Any]:
-    """Return "estimate", "units", "runs" and "lost" as `estimate` does, from values ``(units, repeats)``."""
+    """Return the entries that `estimate` returns if its ``lost`` is given, from values ``(units, repeats)``."""
     gone = values > lost
     kept = (~gone).sum(axis=1)
     means = np.where(gone, 0.0, values).sum(axis=1)[kept > 0] / kept[kept > 0]
@@ -575,7 +583,7 @@ def unseen_share(runs: int) -> float:
 def _check_asked(
     names: Sequence[str], by: Sequence[str], over: Sequence[str], of: Any, against: Mapping[str, Any] | None
 ) -> None:
-    """Raise an error if arguments of `estimate` do not go together."""
+    """Raise an error if arguments of `estimate` do not go together; ``names`` are the columns to estimate."""
     if not 1 <= len(over) <= 2:
         raise ValueError(f"an interval is over one or two columns, not over {list(over)}")
     if unknown := [name for name in against or () if name not in by]:
@@ -593,7 +601,10 @@ def _check_asked(
 
 
 def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> Array:
-    """Arrange rows as values ``(len(names), units, runs, repeats)``; ``runs`` is 1 if ``over`` names one column."""
+    """Arrange the columns ``names`` of a table as values ``(len(names), units, runs, repeats)``.
+
+    Units are those of the first column that ``over`` names, runs those of the second; without a second, ``runs`` is 1.
+    """
     places = [np.unique(rows[name], return_inverse=True)[1] for name in over]
     if len(places) == 1:
         places.append(np.zeros_like(places[0]))
@@ -631,7 +642,10 @@ def _removed(table: Array) -> float:
 
 
 def mean_estimate(values: Array, least: int = LEAST) -> Estimate:
-    """Estimate the mean of values ``(arms, trainings, fruit)``; with fewer arms than ``least`` there is no interval."""
+    """Estimate the mean of values ``(arms, trainings, fruit)``; with fewer arms than ``least`` there is no interval.
+
+    Trainings are repeated trainings of a policy with other seeds.
+    """
     means = values.mean(axis=2)
     ends = mean_interval(means[:, 0], least) if means.shape[1] == 1 else crossed_interval(means, least)
     return _with_reason(float(means.mean()), ends, means, least)
@@ -643,7 +657,7 @@ def quantile_estimate(values: Array, probability: float) -> Estimate:
     There is no interval for several trainings.
 
     Args:
-        values: The values ``(arms, trainings, fruit)``.
+        values: The values ``(arms, trainings, fruit)``; trainings are of one policy, with different seeds.
         probability: Probability of the quantile, 0..1.
     """
     means = values.mean(axis=2)

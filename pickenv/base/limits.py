@@ -75,7 +75,7 @@ def shown(value: Any) -> str:
 
 
 def check_known(kind: str, name: str, known: Iterable[str]) -> None:
-    """Raise an `InputError` unless ``name`` is in ``known``; ``kind`` says in the message what the names are of."""
+    """Raise an `InputError` unless ``name`` is in ``known``; ``kind`` says in the message what is named: "detector"."""
     if name not in (names := tuple(known)):
         raise InputError(f"unknown {kind} '{name}'; give one of {', '.join(names)}")
 

@@ -18,7 +18,10 @@ from pickenv.base import registry
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Return the versions of pickenv, NumPy, Python, the packages extending pickenv, and ``packages`` if installed."""
+    """Return, by name, the versions of pickenv, NumPy, Python, packages that extend pickenv, and ``packages``.
+
+    Packages that are not installed are left out.
+    """
     numbers = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
     numbers |= registry.packages()
     for name in packages:
@@ -37,8 +40,8 @@ def command_words(*words: object, **options: object) -> list[str]:
 
     Args:
         words: Command and positional arguments.
-        options: Values of options, by name with underscores. True is a flag, a list repeats its option, None and False
-            leave it out. A tuple in a list is one option with several words.
+        options: Values of options, by name with underscores. True makes a flag; None and False leave the option out.
+            For a list, the option is repeated with each entry. A tuple in a list gives one option several words.
     """
     line = [str(word) for word in words]
     for name, value in options.items():
@@ -66,7 +69,7 @@ def code_fingerprint() -> str:
 
 @cache
 def _own_code() -> str:
-    """Return one line for each file of pickenv's code: its path and its SHA-256."""
+    """Return a text with one line for each file of pickenv's code: the file's path and SHA-256."""
     root = Path(__file__).parents[1]
     files = (Path(folder) / name for folder, _, names in os.walk(root, followlinks=True) for name in names)
     code = {path.relative_to(root).as_posix(): path for path in files if path.suffix in (".py", ".toml")}

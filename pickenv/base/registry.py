@@ -67,7 +67,7 @@ def register(kind: str, name: str) -> Callable[[Thing], Thing]:
     To register a value, register a function that returns it.
 
     Args:
-        kind: One of `KINDS`.
+        kind: Kind of extension, such as "residual" or "effect" (one of `KINDS`).
         name: Name of the extension: letters, digits, ``_`` and ``-``. A package may replace its own extension.
 
     Raises:
@@ -87,7 +87,7 @@ def register(kind: str, name: str) -> Callable[[Thing], Thing]:
 
 
 def names(kind: str) -> tuple[str, ...]:
-    """Return the names of all extensions of a kind, without importing other packages.
+    """Return the names of all extensions of a kind, such as "residual", without importing other packages.
 
     Names shipped with pickenv come first. The others follow in alphabetical order.
     """
@@ -101,7 +101,7 @@ def get(kind: str, name: str, *, package: str = "", version: str = "", module: s
     """Return the class or function registered under a kind and name; import the package that offers it if needed.
 
     Args:
-        kind: One of `KINDS`.
+        kind: Kind of extension, such as "residual" or "effect" (one of `KINDS`).
         name: Name of the extension.
         package: The package that a saved file names as the extension's origin (`Origin`); "" for any.
         version: The version of that package when the file was saved.
@@ -134,6 +134,8 @@ def get(kind: str, name: str, *, package: str = "", version: str = "", module: s
 def origin(kind: str, name: str) -> Origin:
     """Return the package and version that an extension comes from, without importing the package.
 
+    ``kind`` is a kind of extension, such as "residual" (one of `KINDS`); ``name`` is the extension's name.
+
     Raises:
         InputError: If nothing is registered under this kind and name.
     """
@@ -161,7 +163,10 @@ def registered_as(thing: Any) -> tuple[str, str] | None:
 
 
 def load_all(kind: str) -> dict[str, Any]:
-    """Load all extensions of a kind and return them by name; one that cannot be loaded is left out with a warning."""
+    """Load all extensions of a kind, such as "residual", and return them by name.
+
+    An extension that cannot be loaded is left out, with a warning.
+    """
     things = {}
     for name in names(kind):
         try:

@@ -32,16 +32,16 @@ def stream(seed: int, purpose: Purpose, *numbers: int) -> np.random.SeedSequence
 
     Args:
         seed: The seed of the run.
-        purpose: What the random numbers are used for.
-        numbers: Indices within the purpose, such as the index of an arm or a block.
+        purpose: What the random numbers are used for: "arms", "fruit" or another word of `Purpose`.
+        numbers: Indices within the purpose, from 0, such as the index of an arm.
     """
     return np.random.SeedSequence(seed, spawn_key=(get_args(Purpose).index(purpose), *numbers))
 
 
 def seed_words(sequence: np.random.SeedSequence, count: int) -> list[int]:
-    """Return ``count`` integer seeds below 2^62 for generators that take integers.
+    """Return ``count`` integer seeds below 2^62, made from a seed sequence, for generators that take integers.
 
-    For one sequence, a longer list begins with the seeds of a shorter list.
+    A larger ``count`` only adds seeds at the end of the list.
     """
     return [int(word) >> 2 for word in sequence.generate_state(count, np.uint64)]
 
@@ -57,7 +57,7 @@ def run_seed(run: int) -> int:
     All seeds are below 2^32, as NumPy's legacy generators and most clients require.
 
     Args:
-        run: Number of the run, 0 to 65,535.
+        run: Number of the run, from 0 to 65,535.
 
     Raises:
         InputError: If there is no such run.

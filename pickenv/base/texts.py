@@ -164,7 +164,10 @@ UNBOUNDED = 100_000
 
 
 def screen_width(otherwise: int = UNBOUNDED) -> int:
-    """Return the width of a line in characters: COLUMNS if set, else the terminal's width, else ``otherwise``."""
+    """Return the width of a line in characters.
+
+    It is the environment variable COLUMNS if set, else the terminal's width, or ``otherwise`` without a terminal.
+    """
     return shutil.get_terminal_size((otherwise, 24)).columns
 
 
@@ -174,7 +177,7 @@ def folded(text: str, width: int) -> list[str]:
 
 
 def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[int]]:
-    """Split a wide table into several tables that fit ``width``, and return the column indices of each.
+    """Split a wide table into several tables that fit ``width``, and return the column indices (from 0) of each table.
 
     Args:
         sizes: Width of each column, including the space between columns, characters.

@@ -36,8 +36,8 @@ def fault(wanted: str, kind: str = "wanted", **said: Any) -> Exception:
 
     Args:
         wanted: What the user should give: "a positive number" makes a message that ends "give a positive number".
-        kind: Type of the error, as pydantic names it.
-        said: Further values by name, from which the message is made (`_fault`).
+        kind: Type of the error: "wanted" for a wrong value, or another word that `_fault` knows, such as "unknown".
+        said: Further values by name that `_fault` puts into the message, such as the unknown ``key``.
     """
     from pydantic_core import PydanticCustomError
 
@@ -57,7 +57,7 @@ class Check:
     wanted: str
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return the annotated type's schema, with the test before it."""
+        """Return the pydantic schema of the annotated type ``source``, with the test before it."""
         from pydantic_core import core_schema as core
 
         return core.no_info_before_validator_function(self.checked, handler(source))
@@ -109,7 +109,10 @@ class Unit:
         return replace(self, least=least)
 
     def within(self, least: float, most: float, why: str = "") -> Unit:
-        """Return this unit, for numbers from ``least`` to ``most`` only, in the file's unit, both included."""
+        """Return this unit, for numbers from ``least`` to ``most`` only, in the file's unit, both included.
+
+        ``why`` is the reason for the bounds, which messages state.
+        """
         return replace(self, least=least, most=most, why=why)
 
     @property
@@ -130,7 +133,7 @@ class Unit:
         return math.isfinite(value) and (low < value if self.above else low <= value) and value <= high
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return the schema of a number, or of tuples of numbers, nested as they are annotated."""
+        """Return the pydantic schema of ``source``: a number, or tuples of numbers, nested as they are annotated."""
         from pydantic_core import core_schema as core
 
         if get_origin(source) is tuple:
@@ -168,7 +171,7 @@ class Then:
     source: Any = None
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return the schema of the file's value, followed by the conversion."""
+        """Return the pydantic schema of the file's value, followed by the conversion to the annotated type."""
         from pydantic_core import core_schema as core
 
         schema = handler(source) if self.source is None else handler.generate_schema(self.source)
@@ -186,7 +189,10 @@ class Kinds:
     tell: Callable[[Mapping[str, Any]], Any]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return the schema of the union; ``tell`` selects a table's class, whose tag is its name in angle brackets."""
+        """Return the pydantic schema of the union ``source``, in which ``tell`` selects a table's class.
+
+        The tag of a class in the schema is its name in angle brackets.
+        """
         from pydantic_core import core_schema as core
 
         kinds = {f"<{kind.__name__}>": handler.generate_schema(kind) for kind in get_args(source)}
@@ -268,7 +274,10 @@ def toml_table(kind: Class) -> Class:
 
 
 def _schema(kind: Any, handler: Any) -> Any:
-    """Return the class's schema, which reports unknown keys first, then wrong values, then missing keys."""
+    """Return the pydantic schema of a table class ``kind``.
+
+    It reports unknown keys first, then wrong values, then missing keys.
+    """
     from pydantic import ValidationError
     from pydantic_core import core_schema as core
 
@@ -291,7 +300,10 @@ def _schema(kind: Any, handler: Any) -> Any:
 
 
 def _json(kind: Any, schema: Any, handler: Any) -> Any:
-    """Return the JSON schema of a table, with its required keys, and without defaults, because these are in SI."""
+    """Return the JSON schema of a table class ``kind`` from its pydantic schema, with the table's required keys.
+
+    Defaults are left out, because they are in SI units, not in the file's units.
+    """
     reference = handler(schema)
     table = handler.resolve_ref_schema(reference)
     table["required"] = [key for key, advice in _keys(kind).values() if advice]
@@ -302,7 +314,7 @@ def _json(kind: Any, schema: Any, handler: Any) -> Any:
 
 
 def _marks(hint: Any) -> Iterator[Any]:
-    """Yield the annotations of a type, of its members if it is a union, and of the source types of `Then`."""
+    """Yield the annotations of a type hint, of its members if it is a union, and of the ``source`` of each `Then`."""
     for part in (hint, *get_args(hint)):
         for mark in getattr(part, "__metadata__", ()):
             yield from (mark, *(_marks(mark.source) if isinstance(mark, Then) else ()))
@@ -310,14 +322,17 @@ def _marks(hint: Any) -> Iterator[Any]:
 
 @cache
 def units_of(kind: Any) -> dict[str, Unit]:
-    """Return the unit of each field that has one, by the field's name."""
+    """Return the `Unit` of each field of a table class that has one, by the field's name."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: mark for name, hint in hints.items() for mark in _marks(hint) if isinstance(mark, Unit)}
 
 
 @cache
 def _keys(kind: Any) -> dict[str, tuple[str, str]]:
-    """Return for each field its key in the file, and what to give if the key is missing (empty if it may be)."""
+    """Return for each field of a table class its key in the file, and advice for the message if the key is missing.
+
+    The advice says what to give; it is empty if the key may be missing.
+    """
     keys, hints = {}, get_type_hints(kind, include_extras=True)
     for part in fields(kind):
         marks = list(_marks(hints[part.name]))
@@ -333,7 +348,7 @@ def _keys(kind: Any) -> dict[str, tuple[str, str]]:
 
 @cache
 def _file_of(kind: Any) -> Any:
-    """Return the type of a file from which ``kind`` is read; some fields may be in sections of the file (`Key`)."""
+    """Return the type of a file from which the class ``kind`` is read; its fields may be in sections (`Key`)."""
     groups: dict[str, list[Any]] = {}
     for attribute in fields(kind) if is_dataclass(kind) else ():
         hint = get_type_hints(kind, include_extras=True)[attribute.name]
@@ -368,7 +383,7 @@ def _adapter(kind: Any) -> Any:
 
 
 def json_schema(kind: Any) -> dict[str, Any]:
-    """Return the JSON schema of the files that ``kind`` reads, for editors."""
+    """Return the JSON schema, for editors, of the files from which objects of the class ``kind`` are read."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_adapter(kind).json_schema()}
 
 
@@ -379,7 +394,7 @@ def read_toml(kind: type[Thing], path: str | Path, *, section: str = "", context
         kind: A class made by `toml_table`.
         path: The file. Its stem is the object's ``name`` if the file gives none.
         section: The table of the file to read; "" for the whole file.
-        context: Second argument of the functions of `Then`.
+        context: Any object; the conversions of fields (`Then.make`) get it as their second argument.
 
     Raises:
         InputError: If the file cannot be read, a key is unknown or missing, or a value fails its check.
@@ -426,9 +441,9 @@ def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:
 
 
 def _without_huge(value: Any, key: str) -> Any:
-    """Return ``value``, or raise a ValueError that names ``key`` if it has an integer of more than TOML's 64 bits.
+    """Return ``value``; raise a ValueError that names ``key`` if an integer in it has more than TOML's 64 bits.
 
-    Python reads such integers, but arithmetic with them fails later.
+    Python reads such integers, but later arithmetic with them fails.
     """
     for part in value if isinstance(value, list) else ():
         _without_huge(part, key)
@@ -458,7 +473,7 @@ def made(
         text: The file's text, so that messages can name lines.
         name: The object's name if it is not the stem of the file; "" otherwise.
         section: The key of the content to use; "" for the whole content.
-        context: Second argument of the functions of `Then`.
+        context: Any object; the conversions of fields (`Then.make`) get it as their second argument.
 
     Raises:
         InputError: If a key is unknown or missing, or a value fails its check.
@@ -481,7 +496,7 @@ def made(
 
 
 def _lacks(error: Any) -> bool:
-    """Return whether an error is pydantic's about a missing key; pickenv reports these itself, in a better sentence."""
+    """Return whether one of pydantic's errors is about a missing key; pickenv reports missing keys itself."""
     return error["type"] == "missing" and "ctx" not in error
 
 
@@ -510,7 +525,7 @@ def _fault(error: Mapping[str, Any], place: list[Any], content: Any, owner: str)
 
     Args:
         error: The error as pydantic reports it.
-        place: Keys and indices that lead to the value.
+        place: Keys of tables and indices in lists (from 0) that lead to the value.
         content: The whole file, as TOML gives it.
         owner: Name of what the file describes, for keys outside of tables.
     """
@@ -537,7 +552,11 @@ def _fault(error: Mapping[str, Any], place: list[Any], content: Any, owner: str)
 
 
 def _table_at(place: list[Any], content: Any) -> str:
-    """Return a table's name in messages: [load], joint 3, entry 2 of [backlash.joints]; empty for the whole file."""
+    """Return the name, in messages, of the table at ``place`` in a file: "[load]", "entry 2 of [backlash.joints]".
+
+    ``place`` is the list of keys and list indices (from 0) that lead to the table. Entries in messages count from 1.
+    The name is empty for the whole file.
+    """
     names = ".".join(part for part in place if isinstance(part, str))
     if not place or isinstance(place[-1], str):
         return f"[{names}]" * bool(place)
@@ -548,7 +567,7 @@ def _table_at(place: list[Any], content: Any) -> str:
 
 
 def _at(content: Any, place: list[Any]) -> Any:
-    """Return the value at a place in the content; None if there is no value."""
+    """Return the value to which the keys and list indices in ``place`` lead, in a file's content; None without one."""
     with suppress(LookupError, TypeError):
         return reduce(getitem, place, content)
     return None
@@ -564,13 +583,13 @@ MOST_READ = 1_000_000
 def line_of(text: str, place: list[Any]) -> int | None:
     """Return the line, from 1, at which the value at ``place`` of a valid TOML file begins, or None.
 
-    If there is no such value, the line of the table around it is returned. The search parses the text up to each line
-    that names the key, with open brackets and quotes closed, until the value is there. It returns None after
-    `MOST_READ` characters.
+    If the file has no such value, the line of the table that would hold it is returned. The search parses the text up
+    to each line that names the key, with open brackets and quotes closed, until the value is in the result. It returns
+    None after `MOST_READ` characters.
 
     Args:
         text: The file's text.
-        place: Keys and list indices that lead to the value.
+        place: Keys of tables and indices in lists (from 0) that lead to the value.
     """
     while place and _at(tomllib.loads(text), place) is None:
         place = place[:-1]

@@ -35,14 +35,15 @@ class Strategy:
     Attributes:
         name: Name for reports.
         controller: Controller that converts nominal joints to commands by models of the true arms (its beliefs).
-        pick_point: Name of the method of `pickenv.harvester.pick_point`.
-        assignment: Name of the method of `pickenv.harvester.assign`.
-        guard: Whether a side arm waits while its ultrasonic ranger measures that a middle arm is too near.
+        pick_point: Name of the method of `pickenv.harvester.pick_point`, which says where the master stands for a zone.
+        assignment: Name of the method of `pickenv.harvester.assign`, which says which arm picks which fruit.
+        guard: Whether a side arm (even index, from 0 on the left) waits while its ultrasonic ranger measures that a
+            middle arm (odd index) is too near.
         looks: Largest number of pictures of a zone. After each picture and its picks, another picture is taken only if
             some of these picks detached no fruit.
         unload_full: If true, the tubes are emptied only when one is full, and at the end. Otherwise they are emptied
             after each zone.
-        detector: Detector that reads the pictures, one of `pickenv.orchard.DETECTORS`.
+        detector: Detector that finds fruit in the pictures: "li2016" or "circles" (`pickenv.orchard.DETECTORS`).
     """
 
     name: str
@@ -64,12 +65,12 @@ class Round:
     Attributes:
         zone: The zone.
         begin: Time on the tree's clock at which picking starts, s.
-        master: Nominal joints of the master while its slaves pick, (3,).
-        numbers: Index in the tree of each detected fruit, -1 for a false detection, (n,).
+        master: Nominal joints of the master while its slaves pick, rad and m, (3,).
+        numbers: Index in the tree, from 0, of the fruit of each detection, -1 for a false detection, (n,).
         believed: Position of each detection as measured in the picture, base frame, m, (n, 3).
         work: The scheduling problem; its fruit are the detections.
         times: Timetable of the picks.
-        closest: Least distance between the centre lines of two arms, m; infinite for one arm.
+        closest: Least distance between the centre lines of two arms during the picks, m; infinite for one arm.
         collected: Whether each pick brought an undamaged fruit into a tube, (picks,); set once the picks are done.
     """
 
@@ -85,12 +86,12 @@ class Round:
 
     @property
     def fruit(self) -> NDArray[np.int64]:
-        """Index in the tree of each pick's fruit, -1 for a false detection, (picks,), in timetable order."""
+        """Index in the tree, from 0, of each pick's fruit, -1 for a false detection, (picks,), in timetable order."""
         return self.numbers[self.times.fruit]
 
     @property
     def aimed(self) -> Array:
-        """Nominal slave joints of each pick, (picks, 3)."""
+        """Nominal slave joints at each pick's fruit, m and rad, (picks, 3), in timetable order."""
         return self.work.joints[self.times.arm, self.times.fruit]
 
 
@@ -108,13 +109,13 @@ class Harvest:
         located: Whether the position of each fruit was measured in some picture.
         reachable: Whether some arm could reach each fruit from a pick point.
         attempted: Whether a cup was sent to each fruit.
-        attached: Whether each fruit was in a cup.
+        attached: Whether each fruit was in a cup at some attempt.
         detached: Whether the stalk of each fruit was cut.
         collected: Whether each fruit came into a tube undamaged.
-        by_arm: Index of the arm of the last attempt at each fruit, or -1.
+        by_arm: Index, from 0 on the left, of the arm of the last attempt at each fruit, or -1.
         load: Number of fruit in the tube of each arm, (arms,).
-        master: Present nominal joints of the master, (3,).
-        rounds: Rounds so far, in order.
+        master: Present nominal joints of the master, rad and m, (3,).
+        rounds: Rounds so far (pictures with the picks that followed), in order.
         seconds: Time on the tree's clock, s.
         phases: Time spent in each phase ("move", "image", "pick", "unload"), s.
         repicks: Number of attempts at fruit that an earlier attempt had missed.
@@ -137,7 +138,7 @@ class Harvest:
         self.chances: Array | None = None
 
     def spend(self, phase: str, seconds: float) -> None:
-        """Advance the clock by ``seconds``, and add them to the time of a phase."""
+        """Advance the clock by ``seconds``, and add them to a phase's time: "move", "image", "pick" or "unload"."""
         self.seconds += seconds
         self.phases[phase] += seconds
 
@@ -159,7 +160,7 @@ def harvest(
         model: Model of the outcomes of picking attempts.
         trees: The trees.
         rngs: One generator per tree.
-        grid: Division of each side into zones.
+        grid: Division of each tree's side into zones.
         eyes: Model of how cameras see fruit.
 
     Returns:
@@ -185,7 +186,10 @@ def harvest(
 
 
 def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> Round | None:
-    """Take a picture of a zone and plan the picks; return None if the picture shows no fruit that an arm reaches."""
+    """Take a picture of a zone and plan the picks; return None if the picture shows no fruit that an arm reaches.
+
+    ``state`` is the tree's record, changed in place. ``look`` counts the zone's pictures from 0.
+    """
     state.spend("image", machine.cycle.image)
     numbers, places = _seen_in(eyes, state, zone, look)
     if not numbers.size:
@@ -206,7 +210,8 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
     """Return the detections in a zone's picture: index in the tree (m,), -1 if false, and position, m, (m, 3).
 
-    Positions are as measured, in the base frame. ``look`` counts the zone's pictures from 0.
+    Indices count from 0. Positions are as measured, in the base frame. ``state`` is the tree's record, changed in
+    place. ``look`` counts the zone's pictures from 0.
     """
     tree, rng = state.tree, state.looking
     hanging = np.flatnonzero(~state.detached)
@@ -240,7 +245,7 @@ def _execute(
         rounds: The planned round of each tree that has one, by the tree's index in ``states``.
 
     Returns:
-        Indices of the trees in which some pick detached no fruit.
+        Indices in ``states`` (from 0) of the trees in which some pick detached no fruit.
     """
     if not rounds:
         return []
@@ -261,9 +266,10 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
         true: The machine as built.
         strategy: Strategy that says when tubes are emptied.
         model: Model of the outcomes of picking attempts.
-        state: The tree, changed in place.
-        plan: The round.
-        tips: True cup positions at the end of the rise, without the spread of repeated stops, m, (picks, 3).
+        state: The tree's record, changed in place.
+        plan: The round, with its planned picks.
+        tips: True cup positions, base frame, m, (picks, 3), when the cups have risen to the fruit. They leave out the
+            random error of each stop.
 
     Returns:
         Whether some pick detached no fruit.
@@ -297,10 +303,10 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
 
     Args:
         model: Model of the outcomes of picking attempts.
-        state: The tree.
-        numbers: Index in the tree of the fruit of each pick, -1 for a false detection, (picks,).
-        tips: True cup positions at the end of the rise, m, (picks, 3).
-        entry: Times at which the cups reach the fruit, s, (picks,); earlier cups push the fruit of later ones.
+        state: The tree's record.
+        numbers: Index in the tree, from 0, of the fruit of each pick, -1 for a false detection, (picks,).
+        tips: True cup positions, base frame, m, (picks, 3), when the cups have risen to the fruit.
+        entry: Times at which the cups reach the fruit, s, (picks,); a cup also pushes the fruit of later picks.
     """
     tree, luck = state.tree, draw_luck(state.rng, len(numbers))
     order = np.argsort(entry, kind="stable")
@@ -321,7 +327,10 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
 
 
 def _unload(machine: Machine, state: Harvest) -> None:
-    """Carry the fruit to the start pose and open the lids of the tubes; do nothing if all tubes are empty."""
+    """Move the master to its start pose and empty the tubes there; do nothing if all tubes are empty.
+
+    ``state`` is the tree's record, changed in place.
+    """
     if not state.load.any():
         return
     state.spend("move", float(master_time(machine, state.master, machine.master_start)))
@@ -359,11 +368,11 @@ def work_trees(
         strategy: Choice of pick points, plans, pictures and unloading.
         model: Model of the outcomes of picking attempts.
         orchard: Model from which trees are drawn.
-        grid: Division of each side into zones.
+        grid: Division of each tree's side into zones.
         count: Number of trees.
         seed: Seed of the trees and of their harvest.
         workers: Number of processes.
-        vision: Model of what the cameras show, one of `pickenv.orchard.VISIONS`.
+        vision: Model of what the cameras show: "rendered", "measured_errors" or "ideal" (`pickenv.orchard.load_eyes`).
 
     Returns:
         The record of each tree.
@@ -407,12 +416,12 @@ class Measure:
 
 
 def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
-    """Return the number of fruit that reached each stage of `STAGES`, summed over all trees."""
+    """Return the number of fruit that reached each stage of `STAGES`, from "present" to "collected", over all trees."""
     return {stage: int(sum(at_stage(h, stage) for h in harvests)) for stage in STAGES}
 
 
 def at_stage(harvest: Harvest, stage: str) -> int:
-    """Return the number of fruit of one tree that reached a stage, one of `STAGES`."""
+    """Return the number of fruit of one tree that reached a stage, such as "visible" or "collected" (`STAGES`)."""
     if stage == "present":
         return len(harvest.tree)
     return int(getattr(harvest, "seen" if stage == "visible" else stage).sum())

@@ -26,13 +26,16 @@ FEW = 4
 
 
 def segment_distance(p: ArrayLike, q: ArrayLike, r: ArrayLike, s: ArrayLike) -> Array:
-    """Return the distances between segments p-q and r-s in the plane; their end points (..., 2) broadcast."""
+    """Return the distances (...) between segments from p to q and from r to s in a plane; end points (..., 2), m."""
     ends = [(point[..., 0], point[..., 1]) for point in (np.asarray(end, dtype=float) for end in (p, q, r, s))]
     return np.asarray(np.sqrt(_square_between(np, *ends)))
 
 
 def _square_between(m: Any, p: Point, q: Point, r: Point, s: Point) -> Scalar:
-    """Return the squared distance between the segments p-q and r-s; ``m`` is NumPy, or `ONE` for single numbers."""
+    """Return the squared distance between the segments from p to q and from r to s in a plane.
+
+    ``m`` is NumPy, or `ONE` for single numbers.
+    """
     near = m.minimum(_square_from(m, p, r, s), _square_from(m, q, r, s))
     near = m.minimum(near, m.minimum(_square_from(m, r, p, q), _square_from(m, s, p, q)))
     crossing = (_side(r, s, p) * _side(r, s, q) < 0) & (_side(p, q, r) * _side(p, q, s) < 0)
@@ -40,7 +43,10 @@ def _square_between(m: Any, p: Point, q: Point, r: Point, s: Point) -> Scalar:
 
 
 def _square_from(m: Any, point: Point, a: Point, b: Point) -> Scalar:
-    """Return the squared distance between a point and the segment a-b."""
+    """Return the squared distance in a plane between a point and the segment from a to b.
+
+    ``m`` is NumPy, or `ONE` for single numbers.
+    """
     along, across = b[0] - a[0], b[1] - a[1]
     x, y = point[0] - a[0], point[1] - a[1]
     share = (x * along + y * across) / m.maximum(along * along + across * across, 1e-18)
@@ -54,11 +60,13 @@ def _side(a: Point, b: Point, c: Point) -> Scalar:
 
 
 def cup_in_plan(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
-    """Return a cup's position in plan, m: right and ahead of the middle between the outer pivots.
+    """Return a cup's position in plan, m: distance to the right of, and ahead of, the middle between all pivots.
+
+    Right and ahead are as seen along the master's heading.
 
     Args:
         m: NumPy, or `ONE` for floats.
-        offset: Offset of the slave's pivot to the right of the middle, m.
+        offset: Offset of the slave's pivot to the right of that middle, m.
         swing: Swing of the slave from straight ahead, rad, positive to the left.
         d6: Length of the slave from pivot to cup, m.
     """
@@ -67,7 +75,10 @@ def cup_in_plan(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
 
 @lru_cache(maxsize=8)
 def pairs_of(arms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the index of the first arm and of the second arm of each pair, as ``numpy.triu_indices(arms, 1)`` does."""
+    """Return two arrays: the index, from 0, of the first and of the second arm of each pair of ``arms`` arms.
+
+    The order of the pairs is that of ``numpy.triu_indices(arms, 1)``.
+    """
     first, second = np.triu_indices(arms, 1)
     return first, second
 
@@ -105,12 +116,18 @@ def pair_distances(m: Any, machine: Machine, slaves: Sequence[Scalars]) -> list[
 
 
 def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
-    """Return four numbers of a slave, m: x of the pivot, x and y of the cup in plan, and the arm's height."""
+    """Return four numbers of a slave, m: x of the pivot, x and y of the cup in plan, and the arm's height d4.
+
+    x is to the right and y ahead, as in `cup_in_plan`, which explains ``m``, ``offset``, ``swing`` and ``d6``.
+    """
     return offset, *cup_in_plan(m, offset, swing, d6), d4
 
 
 def _between(m: Any, first: tuple[Scalar, ...], second: tuple[Scalar, ...]) -> Scalar:
-    """Return the distance between the centre lines of two slaves, m, each given as `_ends` returns it."""
+    """Return the distance between the centre lines of two slaves, m, each given as `_ends` returns it.
+
+    ``m`` is NumPy, or `ONE` for single numbers.
+    """
     (a, x, y, height), (b, u, v, level) = first, second
     return m.sqrt(_square_between(m, (a, 0.0), (x, y), (b, 0.0), (u, v)) + (height - level) * (height - level))
 
@@ -127,7 +144,8 @@ def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Arr
         approach: Distance below each fruit at which the cup starts to rise, m, (n,).
 
     Returns:
-        Distances between centre lines, m, (arms, n, arms, n); infinite between excursions of one arm.
+        Distances between the centre lines of the two arms, m, (arms, n, arms, n): by arm and fruit of the first
+        excursion, then of the second. They are infinite between excursions of one arm.
     """
     arms, n = joints.shape[:2]
     share = np.array([0.0, 0.34, 0.67, 1.0])[:, None, None]

@@ -34,7 +34,8 @@ class Body:
     Attributes:
         radius: Radius of the capsule, m.
         margin: Least allowed distance between the surfaces of two arms, m.
-        guard: A side arm waits while its ultrasonic ranger measures less than this distance between surfaces, m.
+        guard: Distance between surfaces, m: a side arm (even index, from 0 on the left) waits while its ultrasonic
+            ranger measures less.
     """
 
     radius: Annotated[float, MM.positive]
@@ -49,7 +50,9 @@ class Body:
 
 @toml_table
 class Ranger:
-    """Ultrasonic rangers of a side arm: one on each flank of its cup, looking sideways at the neighbouring arm.
+    """Ultrasonic rangers of a side arm (even index, from 0 on the left): one on each flank of its cup.
+
+    They measure sideways, towards the neighbouring arms, which are middle arms (odd index).
 
     Attributes:
         farthest: Longest distance from which an echo returns, m.
@@ -137,12 +140,12 @@ class Machine:
 
     @property
     def a2(self) -> float:
-        """Offset of frame 3 from the master's axis, m: 155 mm in the paper."""
+        """Offset of frame 3, which carries the slaves, from the master's vertical axis, m: 155 mm in the paper."""
         return float(self.master.nominal.a[2])
 
     @property
     def a4(self) -> float:
-        """Distance by which the pivots of the slaves lie ahead of frame 3, m: 52 mm in the paper."""
+        """Distance of the slaves' pivots from frame 3 along the master's heading, m: 52 mm in the paper."""
         return float(self.slave.a[1])
 
     @property
@@ -170,7 +173,10 @@ class Machine:
         return joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], self.arms, 3)
 
     def frame3(self, master: ArrayLike) -> Array:
-        """Return the origin of frame 3 in the base frame, m, (..., 3), at master joints (..., 3), by eq (2)."""
+        """Return the origin of frame 3, which carries the slaves, in the base frame, m, (..., 3), by eq (2).
+
+        ``master`` has the master's joints theta1, d2, d3 (..., 3), rad and m.
+        """
         master = np.asarray(master, dtype=float)
         theta1, d2, d3 = (master[..., i] for i in range(3))
         sin, cos = np.sin(theta1), np.cos(theta1)
@@ -182,7 +188,7 @@ class Machine:
     def master_inverse(self, position: ArrayLike) -> Array:
         """Compute the master joints (..., 3) that bring the origin of frame 3 to a position, by eq (5).
 
-        The equation is corrected for y > 0.
+        Frame 3 carries the slaves. The equation is corrected for y > 0.
 
         Args:
             position: Positions in the base frame, m, (..., 3).
@@ -200,8 +206,8 @@ class Machine:
         """Compute the positions of all slaves' cups by eq (4).
 
         Args:
-            master: Joints of the master, (..., 3).
-            slaves: Joints of the slaves, (..., arms, 3).
+            master: Joints theta1, d2, d3 of the master, rad and m, (..., 3).
+            slaves: Joints d4, theta5 + pi/2, d6 of the slaves, m and rad, (..., arms, 3).
 
         Returns:
             Positions in the base frame, m, (..., arms, 3).
@@ -223,11 +229,11 @@ class Machine:
         In eq (6), theta5 = -theta1 - atan2(A, B). The returned joint is theta5 + pi/2, wrapped to [-pi, pi).
 
         Args:
-            master: Joints of the master, (..., 3).
-            targets: Positions in the base frame, m, (..., n, 3).
+            master: Joints theta1, d2, d3 of the master, rad and m, (..., 3).
+            targets: Target positions of the cups in the base frame, m, (..., n, 3).
 
         Returns:
-            Joints (..., arms, n, 3), m and rad, not clipped to the limits. Check them with `within_limits`.
+            Slave joints (..., arms, n, 3), m and rad, not clipped to the limits. Check them with `within_limits`.
         """
         master, targets = np.asarray(master, dtype=float), np.asarray(targets, dtype=float)[..., None, :, :]
         theta1, d2, d3 = (master[..., None, None, i] for i in range(3))
@@ -248,9 +254,9 @@ class Machine:
         return _inside(self.master.nominal, master_joints)
 
     def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
-        """Return flags (..., arms, n): whether each slave reaches each target from master joints (..., 3).
+        """Return flags (..., arms, n): whether each slave's cup reaches each target while the master stands still.
 
-        Targets (..., n, 3) are in the base frame, m.
+        ``master`` has the master's joints (..., 3), rad and m. Targets (..., n, 3) are in the base frame, m.
         """
         return self.within_limits(self.slave_inverse(master, targets))
 
@@ -269,7 +275,7 @@ MM_PER_S2, DEG_PER_S2 = Unit("mm_per_s2", 1e-3).positive, Unit("deg_per_s2", np.
 
 @toml_table
 class MachineTable:
-    """Table [machine] of a machine file; see `Machine`."""
+    """Table [machine] of a machine file: the arms by name, and how they are mounted; see `Machine`."""
 
     master: Annotated[str, ARM]
     slave: Annotated[str, ARM]
@@ -308,7 +314,10 @@ class TrueTable:
 
 @toml_table
 class WorkspaceTable:
-    """Table [workspace] of a machine file: ranges in the base frame, m, in which reached points lie densely."""
+    """Table [workspace] of a machine file: ranges in the base frame, m, where the points that cups reach lie densely.
+
+    It is not the workspace of a calibration, where an arm will work.
+    """
 
     dense_x: Annotated[tuple[float, float], MM]
     dense_y: Annotated[tuple[float, float], MM]
@@ -382,7 +391,9 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
 
 
 def refuse_other_tables(machine: Machine, path: str | Path) -> None:
-    """Raise an error if the closed forms of eqs (2) and (4) do not describe the tables of the machine's arms.
+    """Raise an error if the closed forms of eqs (2) and (4) do not describe the link tables of the machine's arms.
+
+    ``path`` is the machine's file, for the message.
 
     Raises:
         InputError: If master or slave does not have three joints, or its link table differs from Li's in more than d1,
@@ -402,13 +413,13 @@ def refuse_other_tables(machine: Machine, path: str | Path) -> None:
 
 
 def refuse_touching_arms(machine: Machine) -> None:
-    """Raise an error if a swinging slave can come too near a neighbour at rest.
+    """Raise an error if a swinging slave can come too near a neighbouring slave at rest.
 
     An arm at rest points straight ahead and has its shortest length d6. If the neighbour swings towards it by t rad,
     the resting cup is spacing*cos(t) - d6*sin(t) away from the neighbour's centre line.
 
     Raises:
-        InputError: If that distance can be less than two radii plus the margin.
+        InputError: If that distance can be less than two radii of the arms plus the margin (`Body`).
     """
     swing = float(max(-machine.slave.lower[1], machine.slave.upper[1]))
     distance = machine.spacing * np.cos(swing) - machine.slave_home[2] * np.sin(swing)
@@ -422,7 +433,10 @@ def refuse_touching_arms(machine: Machine) -> None:
 
 
 def shifted(slave: Geometry, offset: float) -> Geometry:
-    """Return the geometry of a slave mounted ``offset`` m farther to the right, with a3 larger by this amount."""
+    """Return the geometry of a slave mounted ``offset`` m farther to the right, as seen along the master's heading.
+
+    Its a3 is larger by this offset.
+    """
     return replace(slave, a=np.concatenate([slave.a[:1] + offset, slave.a[1:]]))
 
 
@@ -478,6 +492,6 @@ def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
-    """Return the ranges of x, y and z, base frame, m, in which reached points lie densely (Li 2016, Fig. 8)."""
+    """Return the ranges of x, y and z, base frame, m, where points that cups reach lie densely (Li 2016, Fig. 8)."""
     workspace = read_toml(WorkspaceTable, SHIPPED, section="workspace")
     return workspace.dense_x, workspace.dense_y, workspace.dense_z

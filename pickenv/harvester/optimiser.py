@@ -24,8 +24,8 @@ from pickenv.harvester.work import Plan, Work, last_arm
 def columns(work: Work, *, falling: bool) -> Plan:
     """Assign each fruit to the arm that swings least to reach it.
 
-    Arms pick from the lowest fruit up. With ``falling``, middle arms (odd numbers) pick from the highest fruit down, as
-    in Li 2016, section 5.2.
+    Each arm picks its fruit from the lowest up. With ``falling``, middle arms (odd indices, counted from 0 on the left)
+    pick from the highest fruit down, as in Li 2016, section 5.2. ``work`` is the scheduling problem of the zone.
     """
     owner = np.where(work.reached, np.abs(work.joints[..., 1]), np.inf).argmin(axis=0)
     height, plan = work.joints[0, :, 0], []
@@ -39,7 +39,7 @@ def columns(work: Work, *, falling: bool) -> Plan:
 def nearest_neighbour(work: Work) -> Plan:
     """Plan greedily: the arm that is free first takes the remaining fruit that it can finish first.
 
-    Conflicts between excursions are not considered.
+    The plan ignores that excursions (ways out to a fruit and back) of two arms may conflict.
     """
     waiting: list[int] = np.flatnonzero(work.reachable).tolist()
     plan: list[list[int]] = [[] for _ in range(work.arms)]
@@ -56,8 +56,8 @@ def nearest_neighbour(work: Work) -> Plan:
 def hungarian_waves(work: Work) -> Plan:
     """Plan in waves: every arm takes at most one fruit per wave, with the least sum of pick times.
 
-    The time of a pick is the arm's travel to the fruit plus its excursion (out to the fruit and back). Conflicts
-    between excursions are not considered.
+    The time of a pick is the arm's travel to the fruit's height plus its excursion (out to the fruit and back). The
+    plan ignores that excursions of two arms may conflict.
     """
     waiting: list[int] = np.flatnonzero(work.reachable).tolist()
     plan: list[list[int]] = [[] for _ in range(work.arms)]
@@ -73,7 +73,11 @@ def hungarian_waves(work: Work) -> Plan:
 
 
 def _next_times(work: Work, plan: list[list[int]], waiting: list[int]) -> Array:
-    """Return each arm's time for each waiting fruit after its plan, s, (arms, waiting); infinite out of its reach."""
+    """Return the time that each arm needs for each waiting fruit, s, (arms, waiting); infinite out of its reach.
+
+    The time is that of the travel from the last fruit of the arm's list in ``plan``, and of the pick. ``waiting`` lists
+    the indices of fruit without an arm, from 0.
+    """
     way = np.array([work.travel[fruit[-1]] if fruit else work.first for fruit in plan])
     return np.where(work.reached, way + work.duration, np.inf)[:, waiting]
 
@@ -81,7 +85,8 @@ def _next_times(work: Work, plan: list[list[int]], waiting: list[int]) -> Array:
 def lower_bound(work: Work, *, integral: bool = True) -> float:
     """Compute a lower bound of the makespan of any plan, s.
 
-    The bound balances the load of the arms, with the least possible travel to each fruit and without conflicts.
+    The makespan is the time at which the last pick ends. The bound balances the load of the arms, with the least
+    possible travel to each fruit. It ignores that excursions (ways out to a fruit and back) of two arms may conflict.
 
     Args:
         work: Scheduling problem of the zone.
@@ -117,15 +122,15 @@ def local_search(
 ) -> Plan:
     """Plan by simulated annealing, which starts from the best of three greedy plans.
 
-    Each step moves a fruit to another place, or exchanges two fruit. Half of the steps take a fruit of the arm that
-    finishes last in the current plan.
+    Each step moves a fruit to another arm or another position in an arm's list, or exchanges two fruit. Half of the
+    steps take a fruit of the arm that finishes last in the current plan.
 
     Args:
         work: Scheduling problem of the zone.
         rng: Random generator of the steps; a fixed seed by default.
         bound: Makespan at which the search may stop, s: it stops once its plan is within 1 % of this. By default,
             `lower_bound` with fruit that arms may share.
-        patience: Factor on the number of steps in the strategy file (`Effort.rounds`).
+        patience: Factor by which the number of steps in the strategy file (`Effort.rounds`) is multiplied.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     starts = [_by_height(work), nearest_neighbour(work), hungarian_waves(work)]
@@ -170,7 +175,10 @@ def _by_height(work: Work) -> Plan:
 def _changed(
     plan: Sequence[Sequence[int]], reached: list[list[bool]], rng: np.random.Generator, source: int
 ) -> list[list[int]] | None:
-    """Return the plan with one random fruit of arm ``source`` moved or exchanged; None if that is impossible."""
+    """Return the plan with one random fruit of arm ``source`` moved or exchanged; None if that is impossible.
+
+    ``reached[i][j]`` says whether arm i reaches fruit j. Arms and fruit count from 0.
+    """
     new = [list(fruit) for fruit in plan]
     if not new[source]:
         return None
@@ -209,8 +217,9 @@ def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> P
 
     Args:
         work: Scheduling problem of the zone.
-        method: "li" (Li's rule) is `columns` whose middle arms pick from above. "columns" is `columns` whose arms all
-            pick from below. "nearest" is `nearest_neighbour`, "hungarian" `hungarian_waves`, "search" `local_search`.
+        method: "li" (Li's rule) is `columns` whose middle arms pick from the highest fruit down. "columns" is `columns`
+            whose arms all pick from the lowest fruit up. "nearest" is `nearest_neighbour`, "hungarian" is
+            `hungarian_waves`, and "search" is `local_search`.
         rng: Random generator of the local search; a fixed seed by default.
 
     Raises:

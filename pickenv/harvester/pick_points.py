@@ -36,7 +36,7 @@ class Zone:
     """One part of a tree's side, including the overlap with its neighbours; base frame, m.
 
     Attributes:
-        name: Row and column, for reports.
+        name: Row from the bottom and column by rising x, both from 1, for reports.
         left: Smallest x.
         right: Largest x.
         bottom: Smallest z.
@@ -57,7 +57,10 @@ class Zone:
 
     @property
     def view(self) -> Viewpoint:
-        """Camera's position for the zone's picture, m, at y = 0 in front of the zone's middle, and its direction."""
+        """Camera's position for the zone's picture, base frame, m, and its direction of view, (3,) each.
+
+        The position has the x and z of the zone's middle, and y = 0. The direction is -y, towards the trees.
+        """
         return np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD
 
 
@@ -84,7 +87,7 @@ def load_grid(path: str | Path = SHIPPED) -> Grid:
 def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:
     """Return the zones that cover a tree's side, in the order in which they are harvested.
 
-    The order goes from column to column by rising x, up the first column, down the second, and so on.
+    The order goes from column to column by rising x: up the first column, down the second, up the third, and so on.
 
     Args:
         grid: Numbers of columns and rows, and their overlap.
@@ -120,7 +123,7 @@ METHODS = ("as_printed", "equations", "corrected", "search")
 
 
 def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
-    """Return the indices of the left-most fruit P3 and the right-most fruit P4, as seen from the base, by eq (7).
+    """Return the indices (from 0) of the left-most fruit P3 and the right-most P4, as seen from the base, by eq (7).
 
     As printed, eq (7) takes the fruit with the largest arctan(X/Y) as P3. At Y < 0, where Li's trees stand, this is the
     right-most fruit.
@@ -137,7 +140,7 @@ def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
 
 
 def pick_heading(fruit: Array, spacing: float, printed: bool = False) -> float:
-    """Compute the heading theta2 of the master by eqs (10) and (11), rad.
+    """Compute the heading theta2 of the master at its pick point by eqs (10) and (11), rad.
 
     Args:
         fruit: Positions in the base frame, m, (n, 3).
@@ -159,7 +162,7 @@ def pick_heading(fruit: Array, spacing: float, printed: bool = False) -> float:
 
 
 def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Array:
-    """Return the master joints (3,) at the pick point of a zone's fruit.
+    """Return the master joints (3,) at the pick point, where the master stands while its slaves pick a zone's fruit.
 
     Args:
         machine: The machine.
@@ -199,11 +202,12 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
 
 
 def searched(machine: Machine, fruit: Array) -> Array:
-    """Return the master joints (3,) from which most fruit is reached and, among those, the slaves move least.
+    """Return the master joints (3,), rad and m, from which most fruit is reached; of several, those of least motion.
 
-    All slaves reach the same heights, so the height is chosen independently of heading and reach. The search evaluates
-    two grids of headings and reaches. The second grid is finer, and lies around the best point of the first. Each grid
-    is combined with a few heights: see `_heights`.
+    Motion is that of the slaves. The search evaluates two grids of the master's headings and reaches (how far it
+    extends). The second grid is finer, and lies around the best point of the first. Each grid is combined with a few
+    heights (`_heights`): all slaves reach the same heights, so the height does not depend on heading and reach.
+    ``fruit`` has positions in the base frame, m, (n, 3).
     """
     settings = _search()
     low, high = machine.master.nominal.lower, machine.master.nominal.upper
@@ -235,7 +239,11 @@ def searched(machine: Machine, fruit: Array) -> Array:
 
 
 def _heights(machine: Machine, fruit: Array) -> Array:
-    """Return heights d2 to try, m, (k,): for the middle of the fruit, and for each fruit at an end of the slide."""
+    """Return heights d2 of the master to try, m, (k,).
+
+    One height is for the middle of the fruit. At each of the others, one fruit is at an end of the slaves' vertical
+    slides. ``fruit`` has positions in the base frame, m, (n, 3).
+    """
     z = np.unique(fruit[:, 2]) - machine.d1
     bottom, top = machine.slave.lower[0], machine.slave.upper[0]
     heights = np.concatenate([[(z[0] + z[-1]) / 2 - (top + bottom) / 2], z - bottom, z - top])
@@ -243,10 +251,10 @@ def _heights(machine: Machine, fruit: Array) -> Array:
 
 
 def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray[np.bool_]) -> Array:
-    """Return the costs (m, k) of m pairs of heading and reach, each at k heights.
+    """Return the costs (m, k) of m pairs of the master's heading and reach, each at k heights.
 
-    Each fruit in reach subtracts one. The slaves' motion adds less than one, and fruit in reach of every arm subtracts
-    less than one.
+    Each fruit in reach of some arm subtracts one. The slaves' motion adds less than one, and fruit in reach of every
+    arm subtracts less than one.
 
     Args:
         machine: The machine.
@@ -273,10 +281,10 @@ class Search:
     """Table [search] of a strategy file: the two grids of the search for a pick point.
 
     Attributes:
-        heading: Half-width of the first grid in heading, rad.
-        reach: Half-width of the first grid in reach, m.
-        steps: Number of headings, and of reaches, of each grid.
-        keep_share: Half-widths of the second grid as a share of the first's.
+        heading: Half-width of the first grid in the master's heading, rad.
+        reach: Half-width of the first grid in the master's reach (how far it extends), m.
+        steps: Number of headings of each grid, and number of its reaches.
+        keep_share: Half-widths of the second grid as a share of the half-widths of the first.
     """
 
     heading: Annotated[float, DEG.not_negative]

@@ -32,7 +32,8 @@ class Picking:
     Attributes:
         cup: Li's cup.
         branch: Branch that fruit hangs from.
-        gather: Lateral misalignment beyond the cup's clearance at which the gatherer no longer takes fruit, m.
+        gather: Misalignment across the cup's axis, beyond the cup's clearance around the fruit, above which the
+            cup's gatherer takes no fruit, m.
         outer: Outer radius of the cup, m.
         cluster_success: Probability that an attempt succeeds although another fruit is in the cup's way.
         cut_success: Probability that the blade meets the stalk.
@@ -96,7 +97,7 @@ def attempt(
 
     Args:
         model: The picking model.
-        tips: True cup positions at the end of the rise, m, (picks, 3), in the order of the attempts.
+        tips: True cup positions when the cups have risen to the fruit, m, (picks, 3), in the order of the attempts.
         fruit: True fruit centres at rest, m, (picks, 3).
         moved: Displacement of each fruit by earlier pushes at the time its own cup arrives, m, (picks, 3).
         diameters: Diameters of the fruit, m, (picks,).
@@ -126,7 +127,9 @@ def attempt(
 
 
 def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Flags:
-    """Return flags (m,): whether the cup's wall would meet each other fruit, beside or just below the fruit to take.
+    """Return flags (m,): whether the cup's wall would meet each fruit in ``near`` on its way to the fruit to take.
+
+    Only fruit beside or just below the fruit to take is in the way.
 
     Args:
         model: The picking model.
@@ -142,8 +145,8 @@ def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Fl
 def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
     """Compute the initial displacements of fruit by cups that enter the foliage, m, (picks, m, 3).
 
-    Displacements decrease with the distance from the fruit that a cup goes to. The share `Picking.lasting` of a push
-    remains. The rest swings as the branch does and decays.
+    Displacements decrease with the distance from the fruit that a cup goes to. Later, the share `Picking.lasting` of
+    a displacement remains, and its other part swings with the branch and decays.
 
     Args:
         model: The picking model.
@@ -158,13 +161,15 @@ def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
 
 
 def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, luck: Luck) -> Array:
-    """Compute each fruit's displacement by all earlier cups at the time its own cup enters, m, (picks, 3).
+    """Compute the displacement of each pick's fruit by the cups of all earlier picks, m, (picks, 3).
+
+    It is that at the time at which the fruit's own cup enters the foliage.
 
     Args:
         model: The picking model.
         fruit: True fruit centres at rest, m, (picks, 3).
         masses: Masses of the fruit, kg, (picks,).
-        entry: Times at which the cups go in, ascending, s, (picks,).
+        entry: Times at which the cups enter the foliage, ascending, s, (picks,).
         luck: Random numbers of the picks; they give strength and direction of each push.
     """
     n = len(fruit)

@@ -50,7 +50,7 @@ class Orchard:
         canopy: Canopy, a preset of `pickenv.orchard`.
         fruit_map: Distribution of the fruit over the canopy, a preset of `pickenv.orchard`.
         fruit_size: Diameters and density of the fruit, a preset of `pickenv.orchard`.
-        per_metre: Number of fruit per metre of row.
+        per_metre: Number of fruit per metre of the row of trees.
     """
 
     canopy: Annotated[trees.Canopy, Then(lambda name, _: trees.load_canopy(name), str)]
@@ -81,10 +81,10 @@ class Lab:
 
 
 def load_orchard(*, per_metre: float | None = None, fruit_map: str | None = None, canopy: str | None = None) -> Orchard:
-    """Read the model of trees from the harvester's file.
+    """Read the model of trees from the picking file that comes with pickenv.
 
     Args:
-        per_metre: Number of fruit per metre of row; the file's by default.
+        per_metre: Number of fruit per metre of the row of trees; the file's by default.
         fruit_map: Fruit map of `pickenv.orchard`; the file's by default. "v_trellis" hangs fruit in clusters of three.
         canopy: Canopy of `pickenv.orchard`; the file's by default. "li2016_bare" has no leaves.
 
@@ -125,7 +125,10 @@ def in_base_frame(machine: Machine, canopy: trees.Canopy, positions: Array) -> A
 
 
 def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) -> trees.Leaves | None:
-    """Draw the leaves of a tree in the base frame; return None if the vision model ``eyes`` renders no pictures."""
+    """Draw the leaves of a tree in the machine's base frame; return None unless ``eyes`` renders pictures.
+
+    ``eyes`` is the model of how cameras see fruit; it has the canopy.
+    """
     leaves = trees.foliage(eyes, rng)
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
@@ -137,6 +140,6 @@ def load_lab() -> Lab:
 
 
 def lab_zone(canopy: trees.Canopy) -> Array:
-    """Return width, depth and height of the zone that a picture of Li's lab shows, m, (3,)."""
+    """Return width, depth (that of ``canopy``) and height of the zone that a picture of Li's lab shows, m, (3,)."""
     lab = load_lab()
     return np.array([lab.width, canopy.depth, lab.height])

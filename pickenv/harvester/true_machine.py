@@ -55,7 +55,7 @@ class TrueMachine:
         return replace(self, master=plants[0], slaves=tuple(plants[1:]), repeatability=0.0)
 
     def frame3(self, master: ArrayLike) -> Pose:
-        """Return the true pose of frame 3 in the base frame, for master commands (..., 3)."""
+        """Return the true pose of frame 3 (the slaves' mounting) in the base frame, for master commands (..., 3)."""
         return self.master.tool_pose(master)
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
@@ -76,7 +76,7 @@ class TrueMachine:
         return np.stack([np.stack(np.broadcast_arrays(*cup), axis=-1) for cup in cups], axis=-2)
 
     def cups(self, m: Any, master: Scalars, slaves: Sequence[Scalars]) -> list[Frame]:
-        """Compute the true positions of all slaves' cups in the base frame, each as x, y and z in metres.
+        """Compute the true positions of all slaves' cups in the base frame, each as components x, y, z in metres.
 
         Args:
             m: NumPy, or `ONE` for single numbers.
@@ -94,8 +94,8 @@ class TrueMachine:
 
         Args:
             master: Commands of the master at each pick, (picks, 3).
-            arm: Index of the slave of each pick, (picks,).
-            joints: Commands of this slave, (picks, 3).
+            arm: Index, from 0 on the left, of the slave of each pick, (picks,).
+            joints: Commands of this slave, m and rad, (picks, 3).
         """
         plants, base = self.slaves, self.frame3(master)
         return _arm_by_arm(base, arm, lambda i, here, mine: behind(here, plants[i].tool_pose(joints[mine])).position)
@@ -134,7 +134,8 @@ class Controller:
     def master_command(self, master: ArrayLike) -> Array:
         """Return the master's commands (..., 3) for nominal joints (..., 3), corrected by the belief about the master.
 
-        At the commands, the believed frame 3 has its origin where the nominal joints put the nominal frame 3.
+        Frame 3 carries the slaves. At the commands, the belief puts the origin of frame 3 where the nominal geometry
+        puts it at the nominal joints.
         """
         machine, nominal = self.machine, np.asarray(master, dtype=float)
         if self.master is None:
@@ -151,19 +152,19 @@ class Controller:
 
         Args:
             master: Commands of the master at each pick, (picks, 3).
-            arm: Index of the slave of each pick, (picks,).
+            arm: Index, from 0 on the left, of the slave of each pick, (picks,).
             targets: Target positions of the cups in the base frame, m, (picks, 3).
         """
         return _arm_by_arm(self._frame3(master), arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))
 
     def _frame3(self, master: Array) -> Pose:
-        """Return the pose of frame 3 that the belief about the master predicts for commands (..., 3)."""
+        """Return the pose of frame 3 (the slaves' mounting) that the belief predicts for master commands (..., 3)."""
         return forward(self.machine.master.nominal, master) if self.master is None else self.master.predict(master)
 
     def _slave_command(self, i: int, base: Pose, targets: Array) -> Array:
-        """Return the commands that bring slave ``i``'s cup, as believed, to targets in the base frame.
+        """Return the commands (..., 3) that bring the cup of slave ``i`` (from 0), as believed, to ``targets``.
 
-        ``base`` is the pose of frame 3.
+        ``base`` is the pose of frame 3, on which the slave is mounted. Targets (..., 3) and base are in the base frame.
         """
         geometry = self.machine.slaves[i].nominal
         local = np.einsum("...ji,...j->...i", base.rotation, targets - base.position)
@@ -175,12 +176,13 @@ class Controller:
 
 
 def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]) -> Array:
-    """Return rows (picks, 3), computed by ``each`` for the picks of one slave at a time.
+    """Return an array (picks, 3), computed by ``each`` for the picks of one slave at a time.
 
     Args:
-        base: Poses of frame 3 at all picks.
-        arm: Number of the slave of each pick, (picks,).
-        each: Function of a slave's number, the poses of frame 3 at its picks and the numbers of these picks.
+        base: Poses of frame 3, which carries the slaves, at all picks.
+        arm: Index, from 0, of the slave of each pick, (picks,).
+        each: Function of a slave's index, the poses of frame 3 at its picks, and the indices of these picks, from 0. It
+            returns three numbers for each of these picks.
     """
     rows = np.empty((len(arm), 3))
     for i in np.unique(arm).tolist():
@@ -190,9 +192,9 @@ def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]
 
 
 def _local_inverse(slave: Geometry, local: Array) -> Array:
-    """Return a slave's joints (..., 3), clipped to the limits, for cup positions (..., 3), m, in frame 3.
+    """Return a slave's joints (..., 3), clipped to the limits, that bring its nominal cup to positions in frame 3.
 
-    Frame 3 has x right, y down and z ahead.
+    ``local`` has these positions (..., 3), m. Frame 3 carries the slaves; it has x right, y down and z ahead.
     """
     right, down, ahead = local[..., 0] - slave.a[0], local[..., 1], local[..., 2] - slave.a[1]
     joints = np.stack([-down, np.arctan2(-right, ahead), np.hypot(right, ahead)], axis=-1)
@@ -221,7 +223,10 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
 
 
 def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) -> Plant:
-    """Return a slave's plant at its offset, its true base displaced by the seat's errors: right, ahead, up, m."""
+    """Return a slave's plant mounted ``offset`` m to the right, its true base displaced by the errors of its seat.
+
+    The errors are displacements to the right, ahead and up, m.
+    """
     delta = np.zeros(5 * plant.geometry.joints + 12)
     delta[-12:-9] = right, -up, ahead
     geometry = shifted(plant.geometry, offset).displaced(delta)

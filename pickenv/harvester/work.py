@@ -34,7 +34,7 @@ class Work:
 
     Attributes:
         joints: Nominal slave joints at each fruit, m and rad, not clipped to the limits, (arms, n, 3).
-        reached: Whether each arm reaches each fruit, (arms, n).
+        reached: Whether each arm (from left to right) reaches each fruit, (arms, n).
         out: Time from the start of an excursion to the end of its rise, s, (arms, n).
         duration: Time of a whole excursion, s, (arms, n).
         first: Time of the travel from the home position to below each fruit, s, (n,).
@@ -110,8 +110,8 @@ class Timetable:
     An excursion is an arm's way from rest out to a fruit and back.
 
     Attributes:
-        arm: Index of the arm of each pick, (picks,).
-        fruit: Index of the fruit of each pick, (picks,).
+        arm: Index of the arm of each pick, from 0 on the left, (picks,).
+        fruit: Index of the fruit of each pick, from 0, (picks,).
         start: Start of each excursion, s, (picks,).
         end: End of each excursion, s, (picks,).
         held: Time that the arm waited for other arms before each excursion, s, (picks,).
@@ -141,9 +141,9 @@ def timetable(work: Work, plan: Plan, *, hold: Hold | None = None) -> Timetable:
 
     Args:
         work: Scheduling problem of the zone.
-        plan: For each arm, the indices of its fruit in picking order.
-        hold: Rule by which an arm waits longer, such as `pickenv.harvester.ultrasonic_hold`. With a rule, the
-            middle arm (odd number) goes first if two arms could start at the same time.
+        plan: For each arm, the indices of its fruit, from 0, in picking order.
+        hold: Rule by which an arm waits longer, such as `pickenv.harvester.ultrasonic_hold`. With a rule, a middle arm
+            (odd index, counted from 0) goes first if two arms could start at the same time.
     """
     return _table(_schedule(work, plan, hold))
 
@@ -154,7 +154,10 @@ def _table(rows: list[Row]) -> Timetable:
 
 
 def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = None) -> list[Row]:
-    """Return the picks in the order of their starts, each with its arm, fruit, start, end and waiting time."""
+    """Return the picks in the order of their starts, each with its arm, fruit, start, end and waiting time, s.
+
+    ``plan`` and ``hold`` are those of `timetable`. Arms and fruit are indices from 0.
+    """
     (duration, first, travel, barred), arms = work.lists, range(len(plan))
     done: list[Row] = []
     at = [0] * len(plan)
@@ -189,7 +192,7 @@ def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = Non
 
 
 def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
-    """Return a plan's makespan, s, and the index of the arm that finishes last; (0, 0) for a plan without picks.
+    """Return a plan's makespan, s, and the index (from 0) of the arm that finishes last; (0, 0) without picks.
 
     A plan lists, for each arm, the indices of its fruit in the order of picking.
     """
@@ -208,12 +211,12 @@ ALONG = np.linspace(0.0, 1.0, 25)
 
 
 def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
-    """Return the distances that a side arm's rangers measure to the nearest surface of a middle arm in their cones.
+    """Return the distance that a side arm's rangers measure to the nearest surface of a middle arm in their cones.
 
     Args:
         machine: The machine.
         slaves: Nominal joints of all slave arms, (..., arms, 3), m and rad.
-        arm: Number of the side arm that measures.
+        arm: Index, from 0 on the left, of the side arm that measures; side arms have even indices.
 
     Returns:
         Distances from surface to surface, m, (...); infinite where no surface is in a cone and within range.
@@ -238,9 +241,9 @@ def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
 def ultrasonic_hold(machine: Machine, work: Work, rng: np.random.Generator) -> Hold:
     """Return Li's waiting rule for `timetable`: a side arm stays at rest while it measures a middle arm too near.
 
-    The arm measures once in each period of its ranger, with the ranger's noise. It starts at the first measurement that
-    is not below `Body.guard`. It waits at most until the picks that middle arms have begun are over. A middle arm that
-    returns no echo does not stop it.
+    Side arms have even indices, middle arms odd indices, from 0 on the left. The side arm measures once in each period
+    of its ranger, with the ranger's noise. It starts at the first measurement that is not below `Body.guard`, at the
+    latest when the picks that middle arms have begun are over. A middle arm without an echo does not stop it.
 
     Args:
         machine: The machine.
@@ -302,7 +305,11 @@ def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -
 
 
 def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: float) -> Array:
-    """Return the share of a move of two joints that is done after ``time``; the slower joint sets the pace."""
+    """Return the share of a move of two joints that is done ``time`` seconds after its start.
+
+    The slower joint sets the pace. ``moves`` has the displacements of the two joints (2,), ``speed`` and
+    ``acceleration`` their largest values (2,). ``total`` is the duration of the move, s; if it is 0, the share is 1.
+    """
     if total <= 0:
         return np.ones_like(time)
     lead = int(np.argmax(travel_time(moves, speed, acceleration)))

@@ -168,7 +168,7 @@ def measured_positions(
 
 
 def in_image(camera: Camera, positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Flags:
-    """Return whether positions lie inside the image of a level camera, (...).
+    """Return flags (...): whether positions lie inside the image of a level camera.
 
     Args:
         camera: Error model, which has the image size and the focal length.
@@ -217,7 +217,10 @@ def orchard_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike
 
 
 def _across(ray: Array) -> tuple[Array, Array]:
-    """Return two unit vectors perpendicular to each line of sight, (..., 3) each: level to the right, and up."""
+    """Return two unit vectors perpendicular to each line of sight, (..., 3) each: level to the right, and up.
+
+    ``ray`` has the unit vectors (..., 3) from the camera along the lines of sight, in a frame with z up.
+    """
     x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
     level = np.sqrt(x**2 + y**2)
     upright = level < 1e-9  # looking straight up or down there is no level direction to the right: take the row's

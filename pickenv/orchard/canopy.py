@@ -33,7 +33,7 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
     """Draw positions and diameters of the fruit in one canopy.
 
     The square blocks of the fruit map become rectangles, so that a whole number of them fills the canopy's height
-    and width. The expected number of fruit per metre of row is unchanged.
+    and width. The expected number of fruit per metre of the row of trees is unchanged.
 
     Args:
         fruit_map: Distribution of the number of fruit per block of the fruiting wall.
@@ -68,7 +68,10 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
 
 
 def _rings(diameters: Array, rng: np.random.Generator) -> Array:
-    """Return offsets of fruit in their clusters, m, (clusters, size, 3): randomly tilted rings of touching fruit."""
+    """Return offsets of fruit from their cluster's centre, m, (clusters, size, 3): tilted rings of touching fruit.
+
+    ``diameters``, m, have the shape (clusters, size). Each ring has a random tilt.
+    """
     count, size = diameters.shape
     if size == 1:
         return np.zeros((count, 1, 3))
@@ -87,7 +90,7 @@ def _apart(upright: Array, low: Array, high: Array, diameters: Array, canopy: Ca
         low: Lowest corner of each fruit's block, m, (n, 3).
         high: Highest corner of each fruit's block, m, (n, 3).
         diameters: Fruit diameters, m, (n,).
-        canopy: The canopy.
+        canopy: The canopy, whose lean and volume the fruit get.
 
     Raises:
         InputError: If fruit cannot be kept apart.
@@ -127,7 +130,7 @@ ROUNDING = 1e-9  # m
 
 @toml_table
 class Canopy(checks.Preset):
-    """The slab of foliage in front of one stop of a picking machine; it continues along the row beyond the fruit.
+    """The slab of foliage that a picking machine faces at one stop; it continues along the row of trees past the fruit.
 
     Attributes:
         name: Name of the preset.
@@ -135,7 +138,7 @@ class Canopy(checks.Preset):
         bottom: Height of the lowest fruit above the ground, m.
         top: Height of the highest fruit above the ground, m.
         depth: Horizontal thickness of the slab, m.
-        width: Length of row that is picked from one stop, m. Fruit has x from −width/2 to width/2.
+        width: Length of the row of trees that is picked from one stop, m. Fruit has x from −width/2 to width/2.
         standoff: Distance from the machine's column to the face, m; the column is at y = −standoff.
         lean: Angle of the face from the vertical, rad. Positive leans away from the aisle, negative over the aisle.
         leaf_area_per_volume: One-sided leaf area per volume of canopy, m²/m³.
@@ -173,7 +176,7 @@ def face(canopy: Canopy, height: ArrayLike) -> Array:
 
 
 def depth_behind_face(canopy: Canopy, positions: ArrayLike) -> Array:
-    """Return the horizontal distance of positions behind the canopy's face, m, (...); negative in the aisle.
+    """Return the horizontal distance of positions beyond the canopy's face, m, (...); negative in the aisle.
 
     Args:
         canopy: The canopy.
@@ -184,7 +187,7 @@ def depth_behind_face(canopy: Canopy, positions: ArrayLike) -> Array:
 
 
 def foliage_path(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
-    """Return the length of the part of straight lines that lies in foliage, m, (...).
+    """Return for each straight line the length of its part that lies in foliage, m, (...).
 
     Args:
         canopy: The canopy.
@@ -284,9 +287,9 @@ def approach_clear(
     """Return for each fruit whether a round tool can approach it without touching another fruit.
 
     Args:
-        positions: Fruit centres, m, shape (n, 3).
+        positions: Fruit centres, m, shape (n, 3), in any frame.
         diameters: Fruit diameters, m, shape (n,) or a number.
-        direction: Direction in which the tool moves to the fruit, shape (3,) or (n, 3).
+        direction: Direction in which the tool moves to the fruit, in the same frame, shape (3,) or (n, 3).
         tool_radius: Radius of the tool, m.
         buffer: Length of the straight approach that ends at the fruit's centre, m.
 
@@ -312,17 +315,20 @@ def approach_clear(
 
 @toml_table
 class Station(checks.Preset):
-    """A section of canopy in front of an arm's base, and a gripper that approaches fruit from below.
+    """A place of picking: the section of canopy that an arm picks from, and a gripper that comes to fruit from below.
+
+    It is not a station of measurements (a set-up of instrument and arm). The base frame is that of the arm; x is along
+    the row of trees, y into the trees, z up.
 
     Attributes:
         middle: x of the section's middle in the base frame, m.
         face: y of the canopy's face in the base frame, m.
         mount: z of the lowest fruit in the base frame, m.
-        width: Width of the section along the row, m.
-        height: Height of the section, m.
-        depth: Depth of the section, m.
+        width: Width of the section along x, m.
+        height: Height of the section along z, m.
+        depth: Depth of the section along y, m.
         tool_radius: Outer radius of the gripper, m.
-        tool_length: Length of the gripper below the tool's point, m.
+        tool_length: Length by which the gripper extends below the tool's point, m.
         approach: Length of the straight approach from below to a fruit, m.
         blocked: Distance from the approach's axis within which another fruit blocks the approach, m.
         near: Largest distance between the controller's tool position and the measured fruit position at which the
@@ -361,7 +367,7 @@ class Station(checks.Preset):
     source: str = ""
 
     def handling(self, grasps: int, fruit: int) -> float:
-        """Return the total time for gripping, depositing and releasing, s, which the simulation leaves out.
+        """Return the time for all gripping, depositing and releasing, s. The simulated picking does not include it.
 
         Args:
             grasps: Number of grasps.

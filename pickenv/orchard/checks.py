@@ -24,6 +24,8 @@ MM = Unit("mm", per=1000.0)
 def measuring_range(what: str, nearest: float, farthest: float) -> None:
     """Check that a camera's range of distances, m, is finite and that ``nearest`` is below ``farthest``.
 
+    ``what`` is the camera's name in error messages.
+
     Raises:
         InputError: If one of the two conditions does not hold.
     """
@@ -71,6 +73,8 @@ def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf, positive: 
 def points(what: str, values: ArrayLike) -> Array:
     """Return ``values`` as an array of points or vectors (..., 3) after checking them.
 
+    ``what`` is the array's name in error messages.
+
     Raises:
         InputError: If the last dimension is not 3, or a number is not finite.
     """
@@ -81,7 +85,9 @@ def points(what: str, values: ArrayLike) -> Array:
 
 
 def directions(what: str, values: ArrayLike) -> Array:
-    """Return the unit vectors (..., 3) in the directions of vectors (..., 3).
+    """Return the unit vectors (..., 3) in the directions of the vectors ``values`` (..., 3).
+
+    ``what`` is the array's name in error messages.
 
     Raises:
         InputError: If a vector is zero or not finite, or the last dimension is not 3.

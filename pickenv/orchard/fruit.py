@@ -69,7 +69,8 @@ class FruitMap(checks.Preset):
 
     Attributes:
         block: Edge of the square blocks, m.
-        row_means: Expected number of fruit per block in each row of blocks, from the top row to the bottom row.
+        row_means: Expected number of fruit per block at each height: one number per horizontal row of blocks, from the
+            top row to the bottom row.
         cluster_size: Number of fruit per cluster.
         cluster_variance_ratio: Ratio of variance to mean of the number of clusters per block. With 1 it has a Poisson
             distribution; above 1 clusters are clumped.
@@ -89,11 +90,13 @@ class FruitMap(checks.Preset):
 
     @property
     def density(self) -> float:
-        """Expected number of fruit per metre of row."""
+        """Expected number of fruit per metre of the row of trees, over the whole height."""
         return sum(self.row_means) / self.block
 
     def scaled(self, density: float) -> FruitMap:
-        """Return this map with ``density`` fruit per metre of row; clusters and shares of the rows are unchanged.
+        """Return this map with ``density`` fruit per metre of the row of trees.
+
+        Sizes of clusters, and the share of the fruit at each height, are unchanged.
 
         Raises:
             InputError: If the density is negative or this map has no fruit.
@@ -104,7 +107,9 @@ class FruitMap(checks.Preset):
         return replace(self, row_means=tuple(mean * density / self.density for mean in self.row_means))
 
     def with_rows(self, rows: int) -> FruitMap:
-        """Return this map with another number of rows of blocks; fruit per metre and height profile are unchanged.
+        """Return this map divided into ``rows`` horizontal rows of blocks instead.
+
+        The fruit per metre of the row of trees, and its distribution over the height, are unchanged.
 
         Raises:
             InputError: If ``rows`` is below 1.
@@ -117,10 +122,10 @@ class FruitMap(checks.Preset):
 
 
 def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Integers:
-    """Draw the number of fruit in each block, ``(*shape, rows, columns)``, rows from top to bottom.
+    """Draw the number of fruit in each block, ``(*shape, rows, columns)``: ``rows`` blocks high, from top to bottom.
 
     Args:
-        fruit_map: Distribution of the numbers.
+        fruit_map: Distribution of the numbers; it has the number of rows of blocks.
         columns: Number of blocks along the row of trees.
         rng: Random generator for all draws.
         shape: Shape of the batch of independent samples; one sample by default.
@@ -222,7 +227,7 @@ load_branch = preset_files.loader("branch", Branch)
 
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
-    """Return the undamped angular frequencies along x, y, z, rad/s, (..., 3), for fruit masses (...), kg."""
+    """Return the undamped angular frequencies of swings along x, y, z, rad/s, (..., 3), for fruit masses (...), kg."""
     moving = checks.numbers("the mass of fruit (kg)", mass, positive=True) + branch.wood
     omega = np.empty((*moving.shape, 3))
     omega[..., 0] = omega[..., 1] = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
@@ -290,7 +295,7 @@ def coupling(branch: Branch, distance: ArrayLike) -> Array:
 
 
 def pushed(branch: Branch, positions: ArrayLike, contact: ArrayLike, push: ArrayLike) -> Array:
-    """Return the displacement of each fruit after a push at one point.
+    """Return the displacement of each fruit right after a push at one point.
 
     Args:
         branch: Branch that the fruit hangs from.

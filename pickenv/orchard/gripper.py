@@ -40,7 +40,7 @@ class Gripper(Protocol):
         Args:
             lateral: Absolute value of the lateral misalignment, m. Shapes broadcast.
             axial: Absolute value of the axial misalignment, m.
-            angle: Absolute value of the angle, rad.
+            angle: Absolute value of the angle between the tool's axis and the axis that it should have, rad.
             diameter: Fruit diameter, m; None for the diameter for which the gripper is designed.
         """
 
@@ -64,7 +64,7 @@ class Cup(checks.Preset):
         opening: Inner diameter, m.
         fruit: Fruit diameter for which the cup is designed, m.
         axial: Largest axial misalignment, m.
-        angle: Largest angle between the cup's axis and the wanted axis, rad.
+        angle: Largest angle between the cup's axis and the axis along which it should approach the fruit, rad.
         kind: Always "cup"; selects this class in a gripper file.
     """
 
@@ -181,7 +181,7 @@ def capture_probability(
         gripper: A cup (whose probability is 0 or 1), a hand, or a gripper of another package.
         lateral: Misalignment across the tool's axis, m; its sign does not matter. Shapes broadcast.
         axial: Misalignment along the tool's axis, m; its sign does not matter.
-        angle: Angle between the tool's axis and the wanted axis, rad; its sign does not matter.
+        angle: Angle between the tool's axis and the direction of approach that it should have, rad, of any sign.
         diameter: Fruit diameter, m; None for the diameter for which the gripper is designed.
 
     Raises:
@@ -228,6 +228,6 @@ def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
 
 
 def gripper_file() -> Any:
-    """Return the type of a gripper file: the union of all registered gripper classes that are dataclasses."""
+    """Return the type of a gripper file's content: the union of all registered gripper classes that are dataclasses."""
     kinds = tuple(kind for kind in load_all("gripper").values() if is_dataclass(kind))
     return Annotated[Union[kinds], Kinds(gripper_kind)]  # noqa: UP007 - their number is not known before

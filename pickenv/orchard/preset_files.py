@@ -59,5 +59,5 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
 
 
 def loader(kind: str, thing: type[Thing]) -> Callable[[str | Path], Thing]:
-    """Return a function that reads presets of one kind by name or path, as `load` does."""
+    """Return a function that reads presets of one kind by name or path, as `load` does with ``kind`` and ``thing``."""
     return partial(load, kind, thing=thing)

@@ -91,7 +91,8 @@ class StereoPair:
     Attributes:
         left: Left image, red, green, blue, shape (height, width, 3), uint8.
         right: Right image, red, green, blue, shape (height, width, 3), uint8.
-        shows: Object at each pixel of the left image, shape (height, width): index of a fruit, LEAF or BACKGROUND.
+        shows: Object at each pixel of the left image, shape (height, width): index of a fruit, from 0, or a negative
+            number, LEAF or BACKGROUND.
         visible: Visible share of each fruit's disc in the left image, shape (n,); 0 outside the image.
     """
 
@@ -190,8 +191,8 @@ def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
 
     Args:
         look: Colours and light.
-        u: Distances of the columns from the centre, to the right, in radii, (columns,).
-        v: Distances of the rows from the centre, down, in radii, (rows, 1).
+        u: Distances of the pixel columns from the sphere's centre, to the right, in radii, (columns,).
+        v: Distances of the pixel rows from the sphere's centre, down, in radii, (rows, 1).
 
     Returns:
         Flags (rows, columns) and colours (rows, columns, 3).
@@ -225,7 +226,10 @@ def turned_leaves(places: ArrayLike, look: Look, rng: np.random.Generator) -> Le
 
 
 def _background(look: Look, image: tuple[int, int], rng: np.random.Generator) -> Array:
-    """Return a background image of light and dark patches, (height, width, 3), 0 to 255."""
+    """Return a background image of light and dark patches, (height, width, 3), 0 to 255.
+
+    ``image`` is its width and height, px.
+    """
     coarse = 0.7 + 0.6 * rng.random((image[1] // look.patch + 1, image[0] // look.patch + 1))
     fine = np.kron(coarse, np.ones((look.patch, look.patch)))[: image[1], : image[0]]
     return np.asarray(fine[..., None] * np.array(look.background))
@@ -259,19 +263,19 @@ class SightErrors(checks.Preset):
         visible: Mean visible share of a fruit's disc.
         in_sight: Share of fruit of which at least a part is visible.
         recall: Share of fruit that is located.
-        recall_low: Lower end of the interval of ``recall``.
-        recall_high: Upper end of the interval of ``recall``.
+        recall_low: Lower end of the confidence interval of ``recall``.
+        recall_high: Upper end of the confidence interval of ``recall``.
         bias: Mean error along x, y and z, m.
-        bias_low: Lower end of the interval of ``bias``, m.
-        bias_high: Upper end of the interval of ``bias``, m.
+        bias_low: Lower end of the confidence interval of ``bias``, m.
+        bias_high: Upper end of the confidence interval of ``bias``, m.
         spread: Standard deviation of the error along x, y and z, m.
-        spread_low: Lower end of the interval of ``spread``, m.
-        spread_high: Upper end of the interval of ``spread``, m.
+        spread_low: Lower end of the confidence interval of ``spread``, m.
+        spread_high: Upper end of the confidence interval of ``spread``, m.
         correlation: Correlations of the errors along x and y, x and z, y and z.
-        part_bias: Mean error in each part of a range, from the part with the smallest errors to that with the largest,
-            m.
+        part_bias: Mean error in each part of a range, m. A part has an equal share of the located fruit; the first part
+            has the smallest errors, the last part the largest.
         part_spread: Standard deviation of the error in each part, m.
-        part_correlation: Correlations of the error in each part.
+        part_correlation: Correlations, as in ``correlation``, of the error in each part.
         false_per_picture: Mean number of false detections per image.
         lasting: Correlation between the errors of one fruit in two images from the same viewpoint.
         source: Source of its numbers.
@@ -320,10 +324,10 @@ load_sight_errors = preset_files.loader("sight", SightErrors)
 
 
 def draw_chances(rng: np.random.Generator, count: int) -> Array:
-    """Draw the random numbers that decide which of ``count`` fruit an image shows, and their errors, (count, 5).
+    """Draw five random numbers for each of ``count`` fruit in an image, (count, 5).
 
-    The first number of each fruit is uniform from 0 to 1 and selects a part of the table of errors. The others are
-    standard normal: three for the error along x, y and z, and one for whether the fruit is located.
+    The first number is uniform from 0 to 1 and selects a part of the table of errors. The next three decide the error
+    along x, y and z, the fifth whether the fruit is located. These four are standard normal.
     """
     return np.column_stack([rng.random(count), rng.normal(size=(count, 4))])
 
@@ -331,10 +335,10 @@ def draw_chances(rng: np.random.Generator, count: int) -> Array:
 def next_picture(errors: SightErrors, before: Array, rng: np.random.Generator) -> Array:
     """Draw the random numbers of the same fruit in another image from the same viewpoint, (n, 5).
 
-    They are correlated with those of the image before, because the leaves have not moved.
+    The new numbers are correlated with ``before``, because the leaves have not moved.
 
     Args:
-        errors: The table; `SightErrors.lasting` is the correlation of the normal numbers.
+        errors: The table of errors; its attribute ``lasting`` is the correlation of the normal numbers.
         before: Random numbers of the image before, (n, 5); see `draw_chances`.
         rng: Random generator for the new numbers.
     """
@@ -370,7 +374,10 @@ def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 
 
 
 def _roots(errors: SightErrors) -> Array:
-    """Return the Cholesky factors of the errors' covariances, m, (ranges, parts, 3, 3)."""
+    """Return the Cholesky factors of the errors' covariances, m, (ranges, parts, 3, 3).
+
+    There is one factor for each range of distances and each part of it, as `SightErrors` divides them.
+    """
     spread, correlation = np.array(errors.part_spread), np.array(errors.part_correlation)
     matrices = np.broadcast_to(np.eye(3), (*spread.shape, 3)).copy()
     for i, (a, b) in enumerate(PAIRS):
@@ -391,8 +398,8 @@ class Eyes:
     """Model of how a stereo camera sees fruit in one canopy.
 
     Attributes:
-        vision: One of `VISIONS`.
-        detector: One of `DETECTORS`.
+        vision: "rendered", "measured_errors" or "ideal" (without errors): how an image is simulated.
+        detector: "li2016" or "circles": the detector that finds fruit in an image (`DETECTORS`).
         canopy: The canopy.
         camera: The stereo pair.
         look: Colours and light of rendered images.
@@ -413,9 +420,9 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
     """Return the model of how the stereo pair of Li et al. 2016 sees fruit in a canopy.
 
     Args:
-        vision: One of `VISIONS`.
+        vision: "rendered", "measured_errors" or "ideal" (without errors): how an image is simulated.
         canopy: The canopy.
-        detector: One of `DETECTORS`.
+        detector: "li2016" or "circles": the detector that finds fruit in an image (`DETECTORS`).
 
     Raises:
         InputError: If the vision or the detector is unknown, or ``vision`` is "measured_errors" and there is no table
@@ -441,11 +448,11 @@ Viewpoint = tuple[Array, Array]
 
 
 def left_eye(camera: stereo.StereoCamera, view: Viewpoint) -> Array:
-    """Return the position of the left camera of a stereo pair, m, (3,), in the frame of the viewpoint.
+    """Return the position of the left camera of a stereo pair, m, (3,), in the frame in which ``view`` is given.
 
     Args:
         camera: The stereo pair.
-        view: The viewpoint.
+        view: Midpoint between the two cameras, m, and direction of view, (3,) each.
     """
     middle, looking = view
     return np.asarray(middle - camera.baseline / 2 * camera_axes(looking)[0])
@@ -458,8 +465,9 @@ class Sight:
     Attributes:
         in_sight: For each fruit, whether at least a part is visible, (n,).
         located: For each fruit, whether its position was measured, (n,).
-        believed: Measured positions in the frame of the viewpoint, m, (n, 3). They are valid only for located fruit.
-        false: Positions of false detections in the frame of the viewpoint, m, (m, 3).
+        believed: Measured positions, m, (n, 3), in the frame in which the viewpoint was given. They are valid only for
+            located fruit.
+        false: Positions of false detections in the same frame, m, (m, 3).
     """
 
     in_sight: Flags
@@ -469,7 +477,7 @@ class Sight:
 
 
 def foliage(eyes: Eyes, rng: np.random.Generator) -> Leaves | None:
-    """Draw the leaves of the canopy, in the orchard frame, as far along the row as an image shows.
+    """Draw the leaves of the canopy, in the orchard frame, as far along the row of trees as an image shows.
 
     Args:
         eyes: Model of how fruit is seen.
@@ -501,10 +509,10 @@ def picture(
 
     Args:
         eyes: Model of how fruit is seen, which has the camera and the look.
-        view: The viewpoint.
-        fruit: True fruit centres in the frame of the viewpoint, m, (n, 3).
+        view: Midpoint between the two cameras, m, and direction of view, (3,) each, in any frame with z up.
+        fruit: True fruit centres in the frame of ``view``, m, (n, 3).
         diameters: Fruit diameters, m, (n,).
-        leaves: Leaves in the frame of the viewpoint; None for no leaves.
+        leaves: Leaves in the frame of ``view``; None for no leaves.
         rng: Random generator for background and noise.
         looks: Number of images that are averaged, which reduces only the sensor's noise.
     """
@@ -540,8 +548,8 @@ def located_fruit(
 
     Returns:
         Three arrays: whether each fruit is located, (n,); measured positions of the fruit, m, (n, 3); and positions of
-        false detections, m, (m, 3). Positions are in the camera frame. A fruit that is not located has its true
-        position.
+        false detections, m, (m, 3). Positions are in the camera frame. For a fruit that is not located, the second
+        array has the true position.
     """
     located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)
@@ -568,11 +576,11 @@ def see(
 
     Args:
         eyes: Model of how fruit is seen.
-        view: The viewpoint.
-        fruit: True fruit centres in the frame of the viewpoint, m, (n, 3).
+        view: Midpoint between the two cameras, m, and direction of view, (3,) each, in any frame with z up.
+        fruit: True fruit centres in the frame of ``view``, m, (n, 3).
         diameters: Fruit diameters, m, (n,).
         rng: Random generator for all draws, except ``chances`` if these are not None.
-        leaves: Leaves in the frame of the viewpoint, if ``eyes.vision`` is "rendered"; None for no leaves.
+        leaves: Leaves in the frame of ``view``, if ``eyes.vision`` is "rendered"; None for no leaves.
         chances: Random numbers, (n, 5), from `draw_chances` or `next_picture`, if ``eyes.vision`` is "measured_errors";
             drawn by default.
         looks: Number of images that are averaged.
@@ -597,7 +605,10 @@ def see(
 
 
 def _phantoms(eyes: Eyes, mean_count: float, rng: np.random.Generator) -> Array:
-    """Draw positions of false detections, camera frame, m, (m, 3): anywhere in the image, as far away as the canopy."""
+    """Draw positions of false detections, camera frame, m, (m, 3): anywhere in the image, as far away as the canopy.
+
+    Their number has a Poisson distribution with the mean ``mean_count``.
+    """
     camera, canopy = eyes.camera, eyes.canopy
     count = int(rng.poisson(mean_count))
     depth = canopy.standoff + canopy.depth * rng.random((count, 1))

@@ -33,7 +33,7 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
         within: Largest distance between a detection and its fruit, m.
 
     Returns:
-        Index of the fruit of each detection, shape (m,); -1 for a false detection.
+        Index in ``positions`` (from 0) of the fruit of each detection, shape (m,); -1 for a false detection.
 
     Raises:
         InputError: If a number is not finite, the distance not above zero or a shape wrong.
@@ -65,13 +65,13 @@ class StereoCamera(checks.Preset):
         focal_length: Focal length, px.
         baseline: Distance between the cameras, m.
         image: Width and height of an image, px.
-        nearest: Least distance that is matched, m.
-        farthest: Largest distance that is matched, m.
+        nearest: Least distance at which fruit is searched for in the right image, m.
+        farthest: Largest distance at which fruit is searched for in the right image, m.
         erosions: Number of erosions with a 3 × 3 square after the threshold.
         dilations: Number of dilations with a 3 × 3 square at the end.
         least_area_share: Share of the largest region's area below which a region is dropped as noise.
         least_correlation: Least correlation of a valid match; for the circle detector, its least agreement.
-        margin: Width of the border around a region that is matched with it, px, because the match relies on edges.
+        margin: Width of the border that is added to a region when it is matched, px. The match relies on edges.
     """
 
     name: str
@@ -107,7 +107,7 @@ def project(camera: StereoCamera, positions: ArrayLike) -> Array:
         positions: Positions in the camera frame, m, (..., 3).
 
     Returns:
-        Column, row and disparity, px, (..., 3).
+        Pixel column from the left, pixel row from the top (both from 0), and disparity, px, (..., 3).
 
     Raises:
         InputError: If a position lies behind the camera or is not finite.
@@ -125,7 +125,7 @@ def triangulate(camera: StereoCamera, pixels: ArrayLike) -> Array:
 
     Args:
         camera: The stereo pair.
-        pixels: Column, row and disparity, px, (..., 3).
+        pixels: Pixel column from the left, pixel row from the top (both from 0), and disparity, px, (..., 3).
 
     Returns:
         Positions in the camera frame, m, (..., 3).
@@ -200,8 +200,8 @@ def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Intege
         image: Image, uint8, (height, width, 3).
 
     Returns:
-        Two arrays: centroids, column and row, px, (m, 2); and bounding boxes, px, (m, 4). A box is first row, first
-        column, the row after the last, and the column after the last.
+        Two arrays: centroids, pixel column and pixel row, (m, 2); and bounding boxes, px, (m, 4). A box is first row,
+        first column, the row after the last, and the column after the last. Rows and columns count from 0.
     """
     require("skimage")
     from skimage.measure import label, regionprops
@@ -250,8 +250,8 @@ def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> t
     """Return positions in the camera frame, m, (m, 3), and agreements (m,) of the matches that agree well enough.
 
     Args:
-        camera: The stereo pair.
-        matches: Column, row and disparity, px, and agreement of each match.
+        camera: The stereo pair, whose ``least_correlation`` is the least agreement.
+        matches: For each match the pixel column and row in the left image, the disparity, px, and the agreement.
     """
     pixels = np.array(matches, dtype=float).reshape(-1, 4)
     pixels = pixels[pixels[:, 3] >= camera.least_correlation]
@@ -259,9 +259,10 @@ def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> t
 
 
 def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers) -> tuple[float, float]:
-    """Return the disparity of the patch around a region, px, and the correlation of the match, -1 if there is none.
+    """Return the disparity of the patch around a region, px, and the correlation of its match, -1 without a match.
 
-    A parabola through three correlations refines the disparity.
+    A parabola through three correlations refines the disparity. ``first`` is R − G of the left image, ``second`` of the
+    right image. ``box`` is the region's bounding box, as in `fruit_regions`.
     """
     from skimage.feature import match_template
 
@@ -300,7 +301,7 @@ class CircleSearch(checks.Preset):
         least_fruit: Least share of a disc that has the colour of fruit.
         rim: Largest distance from a circle at which an edge belongs to its rim, px.
         tight: Distance from a circle at which the weight of an edge in the fit is half, px.
-        surroundings: Width of the border around a disc that is matched with it, px.
+        surroundings: Width of the border that is added to a disc when it is matched, px.
         contrast: Limit of the colour difference between matched pixels, grey levels. Larger differences come from an
             obstacle in one image and are clipped to this limit.
         source: Source of its numbers.
@@ -334,8 +335,8 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]
         image: Image, uint8, (height, width, 3).
 
     Returns:
-        Two arrays: column, row and radius of each circle, px, (m, 3), the circles with the most complete rim first; and
-        a mask of the pixels of fruit colour, (height, width).
+        Two arrays: column and row of the centre and radius of each circle, px, (m, 3), the circle with the most
+        complete rim first; and a mask of the pixels of fruit colour, (height, width).
     """
     from scipy import ndimage
 
@@ -356,7 +357,10 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]
 
 
 def _edges(search: CircleSearch, difference: Array, mask: Flags) -> Edges:
-    """Return the sub-pixel edges near the rim of the mask, where the slope of R − G is steepest."""
+    """Return the sub-pixel edges near the rim of the mask, where the slope of R − G is steepest.
+
+    ``difference`` is R − G of the image, ``mask`` its pixels of fruit colour, (height, width) each.
+    """
     from scipy import ndimage
 
     down, right = (ndimage.gaussian_filter(difference, search.blur, order) for order in ((1, 0), (0, 1)))
@@ -385,9 +389,9 @@ def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
 
 
 def _voted(search: CircleSearch, edges: Edges, shape: tuple[int, int]) -> list[tuple[float, float, float]]:
-    """Return column, row and radius, px, of circles whose rim is visible for at least the least arc.
+    """Return column, row and radius, px, of circles whose visible share of the rim is at least ``search.least_arc``.
 
-    The circle with the most complete rim comes first.
+    The circle with the most complete rim comes first. ``shape`` is the height and width of the image, px.
     """
     from scipy import ndimage
     from skimage.feature import peak_local_max
@@ -414,7 +418,8 @@ def _taken(circles: list[tuple[float, float, float]], column: float, row: float,
 def _fitted(search: CircleSearch, edges: Edges, column: float, row: float, voted: float) -> tuple[float, float, float]:
     """Return column, row and radius, px, of a circle fitted to the edges near a circle that `_voted` returned.
 
-    The fit is by weighted least squares, in which far edges have small weights.
+    The fit is by weighted least squares, in which far edges have small weights. ``voted`` is the radius that `_voted`
+    returned, px.
     """
     centre, radius = np.array([column, row]), voted
     near = np.hypot(*(edges[0] - centre).T) < voted + 2 * search.rim
@@ -439,7 +444,10 @@ def _fitted(search: CircleSearch, edges: Edges, column: float, row: float, voted
 
 
 def _window(shape: tuple[int, ...], column: float, row: float, reach: float) -> tuple[Integers, Integers, Array]:
-    """Return rows, columns and distances from a point, px, of the pixels around the point."""
+    """Return row, column and distance from a point, px, of each pixel in the square around the point.
+
+    ``shape`` is the height and width of the image, and ``reach`` half the edge of the square, px.
+    """
     rows = np.arange(max(math.ceil(row - reach), 0), min(math.floor(row + reach) + 1, shape[0]))
     columns = np.arange(max(math.ceil(column - reach), 0), min(math.floor(column + reach) + 1, shape[1]))
     across, down = np.meshgrid(columns, rows)
@@ -481,7 +489,9 @@ def _matched(
 ) -> tuple[float, float]:
     """Return the disparity of a circle, px, and the agreement of its match, 0 to 1; -1 if there is no match.
 
-    The agreement is 1 - mean((difference / contrast)^2). Each pixel's difference is clipped to the contrast.
+    The agreement is 1 - mean((difference / contrast)^2). Each pixel's difference is clipped to the contrast. ``first``
+    is R − G of the left image, ``second`` of the right image. ``mask`` has the fruit pixels of the left image, and
+    ``circle`` is column, row and radius, px.
     """
     from scipy import ndimage
 

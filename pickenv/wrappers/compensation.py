@@ -27,11 +27,11 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
     """Correct joint targets before they reach the drives; the policy sees the same spaces and nominal joints.
 
     Spaces, seeds, episodes and observations stay as they are. Joint readings are mapped back to nominal joints, so that
-    a policy that servos on its believed tool position does not cancel the compensation. With a plant (true arm) whose
-    motors move in whole encoder counts and lag behind their commands (`plant="orchard"`), readings still change
-    slightly: by less than a count, plus a few thousandths of the amount by which the compensator changes the step. The
-    compensator is stored in the innermost environment, so the wrapper's place in a stack of wrappers does not matter.
-    Closing the wrapper removes the compensator.
+    a policy that servos on its believed tool position does not cancel the compensation. Readings still change slightly
+    if the plant (true arm) has motors that move in whole encoder counts and lag behind their commands
+    (`plant="orchard"`): by less than a count, plus a few thousandths of the amount by which the compensator changes the
+    step. The compensator is stored in the innermost environment, so wrappers may be stacked in any order. Closing the
+    wrapper removes the compensator.
 
     Example:
         >>> import gymnasium as gym
@@ -50,7 +50,8 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
 
         Args:
             env: The environment, whose fruit positions are in the arm's base frame.
-            compensator: The compensator.
+            compensator: Function from the nominal arm's joint targets to joint commands of the true arm, such as a
+                calibration's ``compensator()``.
             allow: Reservations (reasons against the calibration's use) to accept, by name: "fitted-frames",
                 "do-not-use".
 
@@ -101,7 +102,8 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
 
         Args:
             env: The environments, whose fruit positions are in the arm's base frame.
-            compensator: The compensator.
+            compensator: Function from the nominal arm's joint targets to joint commands of the true arm, such as a
+                calibration's ``compensator()``.
             allow: Reservations (reasons against the calibration's use) to accept, by name: "fitted-frames",
                 "do-not-use".
 
@@ -129,13 +131,16 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
         return observations, rewards, terminations, truncations, infos
 
     def close(self, **arguments: Any) -> None:
-        """Close the environments and remove the compensator."""
+        """Close the environments, to which ``arguments`` are passed, and remove the compensator."""
         _remove(_seams(self.env))
         super().close(**arguments)
 
 
 def _within95(compensator: Compensate, commands: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Return the 95 % quantiles of the errors at commands ``(..., n)``, by their names in `info`; empty if unknown."""
+    """Return the bounds that 95 % of the calibrated arm's errors stay below, by their names in `info`.
+
+    The bounds are those at joint commands ``(..., n)``, rad or m. The result is empty if the calibration has no bounds.
+    """
     quantile = getattr(compensator, "within95", None)
     position, attitude = (None, None) if quantile is None else quantile(commands.astype(float))
     within = {} if position is None else {"within95_mm": np.asarray(position) * 1e3}
@@ -148,7 +153,10 @@ def _numpy(values: Any) -> NDArray[Any]:
 
 
 def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
-    """Return the objects that store a vector environment's compensator: itself, or each of its single environments."""
+    """Return the objects that store a vector environment's compensator (its seams).
+
+    They are the innermost vector environment itself if it is native, else each of its single environments.
+    """
     inner: Any = env.unwrapped
     return [single.unwrapped for single in inner.envs] if hasattr(inner, "envs") else [inner]
 

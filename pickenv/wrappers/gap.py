@@ -28,9 +28,9 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     Args:
         env: The environment.
-        scaling: The formulas that rescale observations and actions and give the potential.
+        scaling: The formulas that rescale observations and actions and give the potential (how near the goal is).
         shaping: Discount of the learner, or None for no reward shaping. With shaping, the discounted potential after
-            the step, minus the potential before it, is added to each reward.
+            a step, minus the potential before the step, is added to the step's reward.
     """
 
     def __init__(self, env: gym.Env[Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
@@ -119,7 +119,7 @@ class GapScaling(ScaledEnv, RecordConstructorArgs):
     | n+6          | half the size's logarithm                                    | -3  | 3   | two decades  |
 
     The gap is the pose of the fruit relative to the believed tool. With ``feedback="camera"`` the camera measures
-    the gap's position. Actions are clipped to -1 to 1 and, if the size is below one, multiplied by it.
+    the gap's position. Actions are clipped to -1 to 1 and, if the size is below one, multiplied by the size.
 
     Args:
         env: A `pickenv/Reach-v0` or `pickenv/ReachIdeal-v0`.
@@ -138,7 +138,7 @@ class GapScaling(ScaledEnv, RecordConstructorArgs):
     """
 
     def __init__(self, env: gym.Env[Any, Any], actions: bool = True) -> None:
-        """Wrap ``env``.
+        """Wrap ``env``; ``actions`` says whether actions are scaled too.
 
         Raises:
             InputError: If the observations are not the flat observations of a reach task.
@@ -175,7 +175,10 @@ class GapScalingVector(ScaledVector, RecordConstructorArgs):
 
 
 def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> Scaling:
-    """Return the scaling of a reach task's flat observations; raise an `InputError` if ``env`` has others."""
+    """Return the scaling of a reach task's flat observations; raise an `InputError` if ``env`` has other observations.
+
+    ``space`` is the observation space of one environment. ``actions`` says whether actions are scaled too.
+    """
     task = getattr(env.unwrapped, "task", None)
     if not isinstance(task, Task) or space.shape != (scaling_of(task).inputs,):
         raise InputError("GapScaling reads flat observations; wrap a pickenv/Reach-v0 environment")

@@ -27,7 +27,7 @@ def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
     """Return the environment's `mujoco.MjModel` and `mujoco.MjData`, which may be inside its `sim`, as in robosuite.
 
     Raises:
-        InputError: If the environment has none.
+        InputError: If the environment has no such model and data.
     """
     inner: Any = env.unwrapped
     for holder in (inner, getattr(inner, "sim", None)):
@@ -39,15 +39,17 @@ def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
 
 
 class _Hung:
-    """The parts of a model that are fixed to the tool, with a method that shifts them to their places on the true tool.
+    """The parts of a model that are fixed to the tool, with a method that shifts them to where the true tool has them.
 
-    The bodies from the last joint's to the tool site's keep their frames and inertias, because the site's readings and
-    welds to mocap bodies depend on them. (A task that starts each move from the welded body's pose would drift.) Only
-    the geoms and cameras of these bodies are shifted, and the bodies attached to them, such as fingers.
+    The bodies from the last joint to the tool's site keep their frames and inertias, because the site's readings and
+    welds to mocap bodies depend on frames and inertias. (A task that starts each move from the welded body's pose would
+    drift.) Only the geoms and cameras of these bodies are shifted, and all bodies attached to them, such as fingers.
     """
 
     def __init__(self, model: Any, data: Any, nominal: Geometry) -> None:
         """Find the parts that are fixed to the tool, at the present joints.
+
+        ``model`` is a `mujoco.MjModel`, ``data`` its `mujoco.MjData`, and ``nominal`` the geometry of its arm.
 
         Raises:
             InputError: If no site that is fixed to the last link is at the nominal arm's tool.
@@ -84,7 +86,7 @@ class _Hung:
         )
 
     def put(self, shift: Pose | None) -> None:
-        """Shift the parts by the pose of the true tool in the believed tool's frame; None puts them back."""
+        """Shift the parts by the pose of the true tool in the believed tool's frame; None undoes all shifts."""
         for hint, numbers, usual, safe in self._hints:
             hint[numbers] = usual if shift is None else safe
         for place, turn, rows, home, aim, tool in self._parts:
@@ -136,10 +138,11 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             env: The environment.
             nominal: Geometry of the arm in the environment's model (`geometry_in_mujoco`), with the model's joint
                 names.
-            true: The true arm: a plant (an arm with its errors) without memory, or a geometry.
+            true: The true arm: a geometry, or a plant (an arm with its errors) without memory, which means that no
+                effect depends on earlier commands.
             compensator: Function from joint targets to joint commands of the true arm, such as a calibration's; None to
                 send targets unchanged.
-            contact: Whether the tool's parts are shifted to their true places, where they touch things; see the class.
+            contact: Whether the parts fixed to the tool are shifted to where the true arm has them; see the class.
 
         Raises:
             InputError: If ``env`` has no MuJoCo model, or without ``contact`` no goal interface, or if the arms differ
@@ -189,7 +192,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return np.asarray(pose_error(*self._tools())[:3])
 
     def _tools(self) -> tuple[Pose, Pose]:
-        """Compute the poses of the believed tool and of the true tool."""
+        """Compute the poses of the believed tool and of the true tool, in the model's world frame."""
         joints = joints_in_mujoco(*_physics(self.env), self._nominal)
         command = joints if self._compensator is None else np.asarray(self._compensator(joints), dtype=float)
         true = self._true.tool_pose(command) if isinstance(self._true, Plant) else forward(self._true, command)

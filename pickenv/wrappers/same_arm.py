@@ -76,14 +76,17 @@ class PickMemory:
         return spaces.Box(-high, high, dtype=np.float32)
 
     def empty(self, rows: int) -> NDArray[np.float32]:
-        """Return the values for past picks (tokens) before the first pick: zeros ``(rows, window, token)``."""
+        """Return the values for past picks (tokens) of ``rows`` arms before the first pick.
+
+        They are zeros of the shape ``(rows, window, token)``.
+        """
         return np.zeros((rows, self.window, self.token), dtype=np.float32)
 
     def after(self, tokens: NDArray[np.float32], joints: Array, error: Array) -> NDArray[np.float32]:
-        """Return the tokens with a new pick in front, and without the oldest pick.
+        """Return the tokens (values for past picks) with a new pick as the first, and without the oldest pick.
 
         Args:
-            tokens: Tokens before the pick ``(N, window, token)``, newest first.
+            tokens: Tokens of N arms before the pick ``(N, window, token)``, newest first.
             joints: Joints of the pick ``(N, n)``, scaled from their limits to -1 to 1.
             error: True minus believed tool position at the pick ``(N, 3)``, m.
         """
@@ -92,7 +95,12 @@ class PickMemory:
         return np.concatenate([new, tokens[:, :-1]], axis=1)
 
     def shown(self, joints: Array, tokens: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return observations ``(N, inputs)`` before a pick, from ``joints (N, n)``, -1 to 1, and ``tokens``."""
+        """Return observations ``(N, inputs)`` of N arms before a pick.
+
+        Args:
+            joints: Joints of the nominal arm at the next fruit ``(N, n)``, scaled from their limits to -1 to 1.
+            tokens: Values for past picks ``(N, window, token)``, newest first.
+        """
         return np.concatenate([joints, tokens.reshape(len(tokens), -1)], axis=1, dtype=np.float32)
 
     def aim(self, geometry: Geometry, joints: Array, actions: Any) -> Array:
@@ -115,7 +123,10 @@ def scaled_joints(geometry: Geometry, joints: Array) -> Array:
 
 
 class _Run:
-    """The present run of each arm, one arm per row; a row's seed and the pick's number determine the next pose."""
+    """The present runs of several arms. Arrays have one row per arm.
+
+    The seed of an arm's row and the number of poses drawn with the seed determine the arm's next pose.
+    """
 
     def __init__(
         self, task: Task, rows: int, *, picks: int, window: int, looks: int, reach_mm: float, reward: str
@@ -138,12 +149,15 @@ class _Run:
         self.joints: Array = np.zeros((rows, task.joints))
 
     def begin(self) -> None:
-        """Begin new runs: clear the picks of the last arms, and draw the first poses."""
+        """Begin new runs: forget the picks of the arms before, and draw the poses of the first fruit."""
         self.pick, self.tokens = 0, self.memory.empty(len(self.seeds))
         self.draw()
 
     def draw(self) -> None:
-        """Draw the next poses as the environment itself would: the first fitting pose in each row's random stream."""
+        """Draw the pose of each arm's next fruit, with the joints at the fruit, as the environment itself would.
+
+        It is the first pose in the arm's random stream that the task accepts as a goal.
+        """
         streams = stream_key(NUMPY, episode_key(NUMPY, self.seeds, self.count), GOAL)
         self.count = self.count + np.uint64(1)
         rows = np.arange(len(streams))
@@ -157,17 +171,18 @@ class _Run:
 
     @property
     def scaled(self) -> Array:
-        """The present joints, scaled from their limits to -1 to 1."""
+        """The joints of the nominal arm at the present fruit ``(rows, n)``, scaled from their limits to -1 to 1."""
         return scaled_joints(self.geometry, self.joints)
 
     def shown(self) -> NDArray[np.float32]:
-        """Return the present observations."""
+        """Return the observations ``(rows, inputs)`` before the pick of the present fruit."""
         return self.memory.shown(self.scaled, self.tokens)
 
     def options(self, actions: Any, arms: Any) -> dict[str, Any]:
         """Return options for a reset that puts each arm at the aim of its action, with the present fruit as goal.
 
-        ``actions`` are shifts of the aim ``(rows, 3)``, ``arms`` the numbers of the arms.
+        ``actions`` are shifts of the aim ``(rows, 3)``, base frame, as shares of ``reach_mm``. ``arms`` are the numbers
+        of the arms, from 0.
         """
         shifts = as_numbers("actions", actions)
         if shifts.shape != (len(self.joints), 3) or not np.isfinite(shifts).all():
@@ -176,14 +191,19 @@ class _Run:
         return options if self.task.arms == "fixed" else options | {"arm": arms}
 
     def seed(self, seeds: Sequence[int | None], generator: np.random.Generator) -> None:
-        """Begin the random stream of poses in each row that gets a seed or has not drawn a pose yet."""
+        """Begin the random stream of poses of each arm that gets a seed or has not drawn a pose yet.
+
+        ``seeds`` has one seed per arm; for None, an arm without a pose gets a seed that ``generator`` draws.
+        """
         for i, seed in enumerate(seeds):
             if seed is not None or not self.count[i]:
                 self.seeds[i] = seed_word(fresh_seed(generator) if seed is None else int(seed))
                 self.count[i] = 0
 
     def stand(self, env: Any, still: Array) -> tuple[Any, Any]:
-        """Keep the arms in place for ``looks`` steps, store the tools' measured errors, and draw the next poses.
+        """Keep the arms in place for ``looks`` steps, store the tools' measured errors, and draw the next fruit.
+
+        ``env`` is the wrapped environment, and ``still`` its action that moves no joint.
 
         Returns:
             The rewards (from the camera's mean measurement or from the true tool), and the infos of the last step.
@@ -247,7 +267,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         self._arms: NDArray[np.intp] = np.zeros(self.num_envs, dtype=np.intp)
 
     def reset(self, *, seed: Seeds = None, options: Options = None) -> tuple[Any, dict[str, Any]]:
-        """Begin runs on newly drawn arms, or on the arms whose numbers are in ``options["arm"]``."""
+        """Begin runs on newly drawn arms, or on the arms whose numbers (from 0) are in ``options["arm"]``."""
         options = given_options(options, ("arm",))
         self.run.seed(checked_seeds(seed, self.num_envs), self.env.unwrapped.np_random)
         _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
@@ -255,7 +275,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         return self.run.shown(), self._infos(infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Pick one fruit on every arm."""
+        """Pick one fruit on every arm; ``actions`` are the shifts of the aims beside the fruit, one row per arm."""
         self.env.reset(options=self.run.options(actions, self._arms))
         rewards, infos = self.run.stand(self.env, self._still)
         done = np.full(self.num_envs, self.run.pick >= self.run.picks)
@@ -307,7 +327,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
     Attributes:
         parts: The joined vector environments, in the order of their environments.
         task: The task of the first part; all parts have the same nominal arm.
-        run: State of the present runs in the first part.
+        run: State of the present runs of the arms in the first part.
     """
 
     def __init__(self, parts: Sequence[SameArmVector]) -> None:
@@ -336,7 +356,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
         return np.concatenate(observations), _joined(infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Pick one fruit on every arm."""
+        """Pick one fruit on every arm; ``actions`` are the shifts of the aims beside the fruit, one row per arm."""
         shares = np.split(as_numbers("actions", actions), self._ends)
         *columns, infos = zip(*(part.step(share) for part, share in zip(self.parts, shares, strict=True)), strict=True)
         observations, rewards, ended, cut = (np.concatenate(column) for column in columns)
@@ -353,7 +373,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
 
 
 def _joined(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Join the infos of several vector environments."""
+    """Join the infos of several vector environments into those of one vector environment."""
     columns = {key: [each[key] for each in infos] for key in infos[0]}
     return {key: (_joined if key == "final_info" else np.concatenate)(column) for key, column in columns.items()}
 
@@ -374,11 +394,11 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     | then 1    | whether there was such a pick                                      | 0   | 1   | 1    |
 
     The reward of a pick is that of `pickenv/Reach-v0` for the gap between tool and fruit that the camera measured,
-    averaged over all looks. A real arm could measure it, so a policy may observe it. With `reward="true"` the reward is
+    averaged over the steps. A real arm could measure it, so a policy may observe it. With `reward="true"` the reward is
     computed from the tool's true pose. This reward has no noise. A policy that observed it could locate the fruit with
     a few probing aims, so use it for training only. A run is truncated after its last pick. `info` has the errors of
-    `pickenv/Reach-v0`, the number of picks so far as `pick`, and the arm's number as `arm`. Make the environment with
-    `arms="per_episode"`, else every run has the same arm. `reset(options={"arm": number})` chooses an arm.
+    `pickenv/Reach-v0`, the number of picks so far as `pick`, and the arm's number (from 0) as `arm`. Every run has the
+    same arm unless the environment is made with `arms="per_episode"`. `reset(options={"arm": number})` chooses an arm.
 
     Example:
         >>> import gymnasium as gym
@@ -424,7 +444,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._arm = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a run on a newly drawn arm, or on the arm with the number ``options["arm"]``."""
+        """Begin a run on a newly drawn arm, or on the arm with the number ``options["arm"]``, from 0."""
         options = given_options(options, ("arm",))
         _, info = self.env.reset(seed=seed, options=options)
         inner: Any = self.env.unwrapped
@@ -434,7 +454,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return self.run.shown()[0], self._info(info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Pick one fruit."""
+        """Pick one fruit; ``action`` is the shift of the aim beside the fruit, as the class describes it."""
         options = self.run.options(as_numbers("action", action)[None], self._arm)
         options = {key: value[0] if key != "arm" else value for key, value in options.items()}
         self.env.reset(options=options)
@@ -454,10 +474,10 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     each fruit in the gripper, the error of arm and camera. The step that ends a canopy returns the first observation of
     the next one. The run is truncated after the last canopy.
 
-    The reward of a step is 1 for each collected fruit, minus 0.002. A real arm could measure it, so a policy may
-    observe it. With `reward="true"` it is the reward of `pickenv/Pick-v0`, which includes damage. `info` is that of the
-    environment, with four more entries: `canopy` (number of finished canopies), `arm` (the arm's number), and
-    `run_attempted` and `run_collected` (counts of fruit in the run so far).
+    The reward of a step is 1 for each collected fruit, minus 0.002. A real arm could measure this reward, so a policy
+    may observe it. With `reward="true"` the reward is that of `pickenv/Pick-v0`, which includes damage. `info` has four
+    more entries than the environment's: `canopy` (number of finished canopies), `arm` (the arm's number, from 0),
+    and `run_attempted` and `run_collected` (counts of fruit in the run so far).
 
     Example:
         >>> import gymnasium as gym
@@ -478,8 +498,8 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Wrap ``env``.
 
         Args:
-            env: A `pickenv/Pick-v0`. Make it with `arms="per_episode"` or with a `difficulty` that has a population,
-                else every run has the same arm.
+            env: A `pickenv/Pick-v0`. Make it with `arms="per_episode"` or with a `difficulty` that has a population of
+                arms, else every run has the same arm.
             canopies: Number of canopies in a run.
             hours: Hours for which the arm has been switched on at the first and at the last canopy.
             reward: "measured", which a real arm could measure, or "true", for training in simulation only.
@@ -501,7 +521,7 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._canopy, self._binned = 0, 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a run on a newly drawn arm, or on the arm with the number ``options["arm"]``."""
+        """Begin a run on a newly drawn arm, or on the arm with the number ``options["arm"]``, from 0."""
         options = given_options(options, ("arm",))
         self._canopy, self._done[:] = 0, 0
         return self._begin(seed, options)

@@ -24,7 +24,7 @@ def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = Non
 
     Args:
         id: Name of the environment, for example "pickenv/Reach-v0".
-        num_envs: N.
+        num_envs: Number N of copies.
         compensator: A calibration's compensator, to correct joint targets for the drives, or None.
         arguments: Arguments of the environment.
 
@@ -116,7 +116,11 @@ class Sb3Vec(VecEnv):
     def _endings(
         self, rows: NDArray[np.intp], last: Any, final: dict[str, Any], cut: NDArray[np.bool_]
     ) -> list[dict[str, Any]]:
-        """Return the infos of episodes that ended in ``rows``: last observations, final infos, whether cut by time."""
+        """Return one info for each episode that ended; ``rows`` has the indices (from 0) of their environments.
+
+        The other arguments have one entry per environment: the last observations, the infos of the last step, and
+        whether the time limit cut the episode off.
+        """
         columns: dict[str, Any] = {"terminal_observation": [last[i].copy() for i in rows]}
         columns["TimeLimit.truncated"] = cut[rows].tolist()
         numbers = {key: values for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1}
@@ -152,7 +156,10 @@ class Sb3Vec(VecEnv):
         yield env
 
     def _remembering(self) -> Any:
-        """Return the outermost layer with `state_arrays`, which includes the state of all layers inside it."""
+        """Return the outermost wrapper, or the environments, with a method `state_arrays`.
+
+        The method includes the state of all wrappers inside that wrapper.
+        """
         return next(env for env in self._layers() if hasattr(env, "state_arrays"))
 
     def _scaled(self) -> ScaledVector | None:
@@ -164,11 +171,11 @@ class Sb3Vec(VecEnv):
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """Return an attribute of the vector environment, repeated once per index."""
+        """Return an attribute of the vector environment, repeated for each of ``indices`` (from 0; None for all)."""
         return [getattr(self.envs.unwrapped, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
-        """Set an attribute of all environments.
+        """Set an attribute of the vector environment, and so of all environments.
 
         Raises:
             InputError: If ``indices`` names only some of the environments.
@@ -180,11 +187,17 @@ class Sb3Vec(VecEnv):
     def env_method(
         self, method_name: str, *arguments: Any, indices: int | Iterable[int] | None = None, **named: Any
     ) -> list[Any]:
-        """Call a method of the vector environment once per index, and return the results."""
+        """Call a method of the vector environment once for each of ``indices``, and return the results.
+
+        Indices count from 0; None stands for all environments. The method gets ``arguments`` and ``named``.
+        """
         return [getattr(self.envs.unwrapped, method_name)(*arguments, **named) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
-        """Return, once per index, whether a vector wrapper of this class is around the environments."""
+        """Return whether a vector wrapper of this class is around the environments, repeated once per index.
+
+        ``indices`` count from 0; None stands for all environments.
+        """
         return [any(isinstance(env, wrapper_class) for env in self._layers())] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:

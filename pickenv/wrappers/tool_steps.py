@@ -62,7 +62,7 @@ class ToolSteps(Rescaling):
 
     Attributes:
         geometry: The nominal arm.
-        increment: Largest increments of the arm's joints, rad or m.
+        increment: Largest increments of the arm's joints in one step (n,), rad or m.
     """
 
     geometry: Geometry
@@ -77,7 +77,7 @@ class ToolSteps(Rescaling):
 
     @property
     def header(self) -> dict[str, list[float]]:
-        """The entries of a policy's file that describe these formulas, apart from the arm's name."""
+        """The entries of a policy's file that describe these formulas (``increment``), apart from the arm's name."""
         return {"increment": self.increment.tolist()}
 
     @property
@@ -104,7 +104,10 @@ class ToolSteps(Rescaling):
         return spaces.Box(-1.0, 1.0, (self.outputs,), dtype=np.float32)
 
     def observe(self, values: Any, xp: Any = np) -> Any:
-        """Compute the policy's observations ``(..., features)``; see `Rescaling.observe`."""
+        """Compute the policy's observations ``(..., features)`` from the environment's ``values`` ``(..., n + 17)``.
+
+        ``xp`` is the namespace of the arrays: ``numpy`` or ``torch``.
+        """
         n = self.joints
         gap, turn, others = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
         far, aside, up = vector_length(gap), vector_length(gap[..., :2]), gap[..., 2:]
@@ -116,9 +119,9 @@ class ToolSteps(Rescaling):
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Compute the environment's actions ``(..., n + 1)`` from a policy's ``actions (..., 3)``.
 
-        ``values`` are the environment's observations ``(..., n + 17)``. Actions of another shape are passed on
-        unchanged, so that the environment raises the error. If the magnitude of a number is above ``most``, or a number
-        is not finite, the result has numbers that the environment refuses.
+        ``values`` are the environment's observations ``(..., n + 17)``. Actions of another shape are returned
+        unchanged, so that the environment raises the error. If an action has a number that is not finite, or of a
+        magnitude above ``most``, the result for it has numbers that the environment refuses.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.outputs):
@@ -128,7 +131,10 @@ class ToolSteps(Rescaling):
         return np.where(wrong, np.inf if most == MOST_ACTION["clip"] else 2.0, commands).astype(np.float32)
 
     def commands(self, values: NDArray[Any], actions: Any) -> Any:
-        """Compute joint increments and gripper command ``(..., n + 1)`` from a policy's ``actions``, from -1 to 1."""
+        """Compute joint increments and gripper command ``(..., n + 1)`` from a policy's ``actions (..., 3)``.
+
+        All are from -1 to 1. ``values`` are the environment's observations ``(..., n + 17)``.
+        """
         n = self.joints
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         away = ~holding & (vector_length(values[..., n + 6 : n + 9]) > CLOSING)
@@ -139,8 +145,8 @@ class ToolSteps(Rescaling):
     def joint_steps(self, values: Array, steps: Array) -> Array:
         """Compute joint steps ``(..., n)``, as shares of the largest, for ``steps`` of the tool ``(..., 2)``.
 
-        The first number of a step, -1 to 1, is sideways, towards the vertical line through the fruit. The second is
-        upwards. ``values`` are the environment's observations ``(..., n + 17)``.
+        The first number of a tool step, -1 to 1, is sideways, towards the vertical line through the fruit. The second,
+        -1 to 1, is upwards. ``values`` are the environment's observations ``(..., n + 17)``.
         """
         n, low, high = self.joints, self.geometry.lower, self.geometry.upper
         q = low + (values[..., :n] + 1.0) / 2.0 * (high - low)
@@ -167,7 +173,8 @@ class ToolSteps(Rescaling):
         """Compute the progress of the pick, ``(...)`` from 0 to 0.8, for reward shaping.
 
         Before the grasp it is at most 0.35, and grows as the logarithm of the gap falls. It is 0.5 with a fruit in the
-        gripper and 0.6 once the fruit is detached. It then grows up to 0.8 as the fruit is brought down.
+        gripper and 0.6 once the fruit is detached. It then grows up to 0.8 as the fruit is brought down. ``values`` are
+        the environment's observations ``(..., n + 17)``.
         """
         n = self.joints
         gap = np.asarray(values[..., n + 6 : n + 9], dtype=float)
@@ -185,10 +192,11 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
     numbers from -1 to 1. The first adds to the sideways step, the second to the upward step. An action of zero moves at
     most 15 mm in each of the two directions, and 1 adds at most 30 mm. Sideways steps shrink with the sideways gap
     below 50 mm, upward steps with the whole gap below 50 mm. With a fruit in the gripper the first number has no
-    effect, and the second moves the tool up or down by up to 30 mm. The third number is the gripper's. Above zero an
-    empty gripper closes, if the gap is at most 15 mm. With a fruit, the gripper twists as for the number + 0.5 (at most
-    1) in `pickenv/Pick-v0`. The gripper never opens again. The tool is kept upright, and the arm does not move once the
-    gap is below 0.2 mm. With n joints the observation is `Box(float32)` of n + 12 numbers:
+    effect, and the second moves the tool up or down by up to 30 mm. The third number commands the gripper. An empty
+    gripper closes if the number is above zero and the gap at most 15 mm. A gripper with a fruit twists as at the
+    gripper command number + 0.5 (at most 1) of `pickenv/Pick-v0`. The gripper never opens again. The tool is kept
+    upright, and the arm does not move once the gap is below 0.2 mm. With n joints the observation is `Box(float32)` of
+    n + 12 numbers:
 
     | Num          | Observation                                                        | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------------|-----|-----|--------------|
@@ -204,9 +212,9 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
         shaping: A discount g, above 0 and at most 1, or None. With g, each reward gets g P' - P added, where P and P'
             are the potentials before and after the step. Before the grasp the potential is 0.35 (1 - log10(1 + gap in
             mm) / 3), at least 0. It is 0.5 with a fruit in the gripper, 0.6 once the fruit is detached, and up to 0.8
-            as it is brought down. It is 0 once no fruit is left. This does not change which policy has the largest
-            return discounted with g (Ng, Harada and Russell 1999); 1 is for the undiscounted return. None, the default,
-            leaves rewards as they are.
+            as it is brought down. It is 0 once no fruit is left. Shaping does not change which policy has the largest
+            return discounted with g (Ng, Harada and Russell 1999); g = 1 is for the undiscounted return. None, the
+            default, leaves rewards as they are.
 
     Example:
         >>> import gymnasium as gym

@@ -35,7 +35,7 @@ class Encoder(Effect, place=MOTOR):
     resolution: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Round the motor positions of ``at``, in place, to the nearest encoder count; ``memory`` is not used."""
+        """Round the motor positions of the passage ``at``, in place, to encoder counts; ``memory`` is not used."""
         pairs = zip(at.motor, self.resolution, strict=True)
         at.turn([nearest_whole(at.m, value / count) * count for value, count in pairs])
 
@@ -52,15 +52,15 @@ class Servo(Effect, place=MOTOR + 0.5):
     time_constant: Annotated[tuple[Scalar, ...], MILLISECONDS.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Set the motors of ``at``, in place, to the positions in ``memory``."""
+        """Set the motors of the passage ``at``, in place, to the positions in ``memory``."""
         at.turn(memory)
 
     def begin(self, at: Passage) -> Components:
-        """Return the motor positions at rest, which are those commanded."""
+        """Return the memory at rest: the motor positions, rad or m, which are those commanded."""
         return tuple(at.motor)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the motor positions ``dt`` seconds after they were ``memory``, while the command is held."""
+        """Return the motor positions ``dt`` seconds after they were ``memory``, while the command of ``at`` is held."""
         numbers = zip(memory, at.motor, self.time_constant, strict=True)
         return tuple([target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers])
 
@@ -87,7 +87,7 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
     time_constant: Annotated[Scalar, HOURS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Apply the temperature rise dT in ``memory`` to the links of ``at``, in place.
+        """Apply the temperature rise dT in ``memory`` to the links of the passage ``at``, in place.
 
         The lengths a and d of every link are multiplied by 1 + alpha dT. So is the displacement of every slide, because
         its rack grows too. Angles do not change.
@@ -100,25 +100,28 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
         at.joints = [value * factor if link.prismatic else value for link, value, factor in numbers]
 
     def begin(self, at: Passage) -> Components:
-        """Return the temperature rise when the arm is switched on, K."""
+        """Return the memory when the arm is switched on: the temperature rise, K."""
         return (at.command[0] * 0.0 + self.initial_rise,)
 
     def rest(self, at: Passage) -> Components:
-        """Return the temperature rise of the warm arm, K."""
+        """Return the memory of the warm arm: the temperature rise, K."""
         return (self.final_rise,)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the temperature rise, K, ``dt`` seconds after it was ``memory``."""
+        """Return the memory, the temperature rise in K, ``dt`` seconds after it was ``memory``."""
         return (warmed(at.m, self, memory[0], dt),)
 
     def drawn(self, draws: Draws) -> ThermalGrowth:
-        """Return the effect of many arms, each final temperature rise drawn from the tolerance class's range."""
+        """Return the effect of many arms, with final temperature rises uniform in the tolerance class's range."""
         low, high = draws.temperature_rise
         return replace(super().drawn(draws), final_rise=low + (high - low) * draws.even["temperature_rise"][:, 0])
 
 
 def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> Scalar:
-    """Return the temperature rise, K, ``dt`` seconds after it was ``rise``; ``m`` is the namespace for ``dt``."""
+    """Return the temperature rise, K, ``dt`` seconds after it was ``rise``, by the warm-up of ``thermal``.
+
+    ``m`` is the namespace of the functions: ``math``, ``numpy`` or ``torch``.
+    """
     return thermal.final_rise + (rise - thermal.final_rise) * exponential(m, -dt / thermal.time_constant)
 
 
@@ -137,9 +140,9 @@ class GravityYield(Effect, place=JOINT + 0.2):
     """Deflection of joints under gravity, with coefficients that a calibration identified.
 
     Attributes:
-        moments: For each term: the joint that yields, the link whose weight loads it (both indices from 0), and the
-            mass parameter of that link. "m" is its mass, placed at the link's origin. "x", "y" and "z" are its first
-            moments of mass along the axes of the link's frame.
+        moments: For each term: the joint that yields, the link whose weight loads the joint (both indices from 0), and
+            a mass parameter of the link. "m" is the link's mass, placed at its origin. "x", "y" and "z" are the link's
+            first moments of mass along the axes of its frame.
         sizes: Coefficient of each term: rad/m for a mass on a revolute joint, rad for a first moment.
         up: Direction against gravity in the axes of frame 0.
     """
@@ -149,7 +152,7 @@ class GravityYield(Effect, place=JOINT + 0.2):
     up: tuple[float, float, float]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Subtract the deflections from the joint positions of ``at``, in place; ``memory`` is not used."""
+        """Subtract the deflections from the joint positions of the passage ``at``, in place; ``memory`` is not used."""
         links = frames(at.m, at.cold, at.joints)
         base, joints = links[0], list(at.joints)
         up = [sum(base[axis + i] * part for axis, part in zip((0, 3, 6), self.up, strict=True)) for i in range(3)]
@@ -188,7 +191,7 @@ class MeasurementNoise(Effect, place=BESIDE):
     centring_std: Annotated[float, MM.not_negative] = 0.0
 
     def position_std_at(self, distance: Any) -> Any:
-        """Return the standard deviation of a position per axis, m, at a range of ``distance``, m."""
+        """Return the standard deviation of a position per axis, m, at a distance, m, from the instrument."""
         return self.position_std + self.range_std * distance
 
 
@@ -205,8 +208,8 @@ def read_frame(
     Args:
         m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
         noise: The instrument's errors.
-        stand: Position of the instrument in world axes, m.
-        frame: The true tool frame in world axes.
+        stand: Position of the instrument in the arm's world frame, m.
+        frame: The true tool frame in the arm's world frame, twelve components.
         reading: Standard normal numbers of this reading, six components: three for position, three for attitude.
         mounting: Standard normal numbers of the target's mounting, three components.
     """

@@ -42,9 +42,9 @@ class Passage:
     Attributes:
         m: The namespace of the formulas: ``math``, ``numpy`` or ``torch``.
         command: The joint command, n components, rad or m.
-        motor: Positions of the motors, in joint units, n components.
-        driven: Positions to which the drives bring the joints, n components.
-        joints: Positions of the joints, n components.
+        motor: Positions of the motors, n components, rad or m of the joints that they drive.
+        driven: Positions to which the drives bring the joints, n components, rad or m.
+        joints: Positions of the joints, n components, rad or m.
         cold: The true geometry at the temperature at which it was measured.
         chain: The true geometry at the present temperature.
         load: The masses, or None.
@@ -62,11 +62,14 @@ class Passage:
         self._frame: Frame | None = None
 
     def turn(self, motor: Scalars) -> None:
-        """Set the positions of the motors (n components), and set drives and joints to the same positions."""
+        """Set the positions of the motors, n components, rad or m, and set drives and joints to the same positions."""
         self.motor = self.driven = self.joints = motor
 
     def drive(self, driven: Scalars) -> None:
-        """Set the positions of the drives (n components), and set the joints, but not the motors, to the same."""
+        """Set the positions of the drives, n components, rad or m, and set the joints to the same positions.
+
+        The positions of the motors stay unchanged.
+        """
         self.driven = self.joints = driven
 
     @property
@@ -121,7 +124,7 @@ class Draws:
         Args:
             values: The k values.
             key: Key of the random numbers in ``even``.
-            first: Column of ``even[key]`` for the first value; the other values take the columns after it.
+            first: Column of ``even[key]``, from 0, for the first value; the later values take the columns after it.
             spread: Standard deviation of the logarithm, or the name of the entry of [spread] that holds it. If empty,
                 the name is ``key``.
 
@@ -171,7 +174,7 @@ class Effect:
     def __init_subclass__(
         cls, place: float, spreads: Mapping[str, str | float] | None = None, needs_load: bool = False, name: str = ""
     ) -> None:
-        """Store the class arguments of a subclass: place, spreads, needs_load and name."""
+        """Store the class arguments of a subclass (place, spreads, needs_load and name), which the class describes."""
         cls.name = name or re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
         cls.place, cls.spreads, cls.needs_load = place, spreads or {}, needs_load
         cls.remembers = cls.carry is not Effect.carry
@@ -196,19 +199,22 @@ class Effect:
         raise NotImplementedError(f"effect '{self.name}' has neither act nor flexure")
 
     def begin(self, at: Passage) -> Components:
-        """Return the effect's memory right after the arm is switched on, at rest at ``at.command``."""
+        """Return the effect's memory right after the arm is switched on, at rest at the joint command of ``at``."""
         return ()
 
     def rest(self, at: Passage) -> Components:
-        """Return the limit of the effect's memory if ``at.command`` is held for ever, whatever happened before."""
+        """Return the limit of the effect's memory if the joint command of ``at`` is held for ever.
+
+        The limit does not depend on what happened before.
+        """
         return self.begin(at)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the effect's memory ``dt`` seconds after it was ``memory``, while ``at.command`` is held."""
+        """Return the effect's memory ``dt`` seconds after it was ``memory``, while the command of ``at`` is held."""
         return memory
 
     def fault(self, arm: Arm) -> str:
-        """Return an empty string if ``arm`` can have this effect, else an error message with what to give instead."""
+        """Return an empty string if ``arm`` can have this effect, else an error message that says what to give."""
         return ""
 
     def own_sizes(self) -> tuple[Scalar, ...]:
@@ -217,7 +223,10 @@ class Effect:
         return tuple(number for name in names for number in _numbers(getattr(self, name)))
 
     def drawn(self, draws: Draws) -> Self:
-        """Return the effect of many arms: each attribute in ``spreads`` is this effect's value times random factors."""
+        """Return the effect of many arms, with random factors made from ``draws``.
+
+        Each attribute in ``spreads`` is this effect's value times one factor per arm.
+        """
         parts: dict[str, Any] = {}
         used: Counter[str] = Counter()
         for name, spread in self.spreads.items():  # sizes of one spread take its columns one after another
@@ -249,9 +258,9 @@ def table_of(name: str) -> Any:
 
 
 def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Weight]:
-    """Compute for each link the `Weight` of itself, all links after it and the payload.
+    """Compute for each link the `Weight` (mass and first moments) of the link, all later links and the payload.
 
-    One more entry at the end of the list is the `Weight` of the payload alone.
+    The list has one more entry at its end: the `Weight` of the payload alone.
 
     Args:
         chain: The chain.
@@ -273,7 +282,7 @@ def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[We
 
 
 def gravity_torques(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Scalar]:
-    """Compute the gravity torques (revolute joints, N*m) and forces (prismatic joints, N), positive along the joint.
+    """Compute the gravity torque (revolute, N*m) or force (prismatic, N) on each joint, positive along its axis.
 
     Args:
         chain: The chain.

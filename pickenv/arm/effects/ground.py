@@ -43,7 +43,10 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
     time_constant: Annotated[Scalar, HOURS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Move the tool of ``at``, in place, by the machine's tilt and by the creep and settlement in ``memory``."""
+        """Move the tool of the passage ``at``, in place, by the machine's tilt, creep and settlement.
+
+        Creep and settlement are those in ``memory``; `begin` describes them.
+        """
         (tilt_x, tilt_y), (creep_x, creep_y, settlement) = self._tilt(at), memory
         x0, y0, z0 = self.pivot
         *axes, px, py, pz = at.frame
@@ -52,22 +55,25 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
         at.frame = (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
 
     def begin(self, at: Passage) -> Components:
-        """Return the creep about x and y, rad, and the settlement, m: all zero when the arm is switched on."""
+        """Return the memory when the arm is switched on: creep about x and y, rad, and settlement, m, all zero."""
         zero = at.command[0] * 0.0
         return zero, zero, zero
 
     def rest(self, at: Passage) -> Components:
-        """Return the final creep about x and y, rad, and the final settlement, m."""
+        """Return the memory after a long time: final creep about x and y, rad, and final settlement, m."""
         x, y = self._tilt(at)
         return self.creep * x, self.creep * y, self.settlement
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the creep about x and y, rad, and the settlement, m, ``dt`` seconds after they were ``memory``."""
+        """Return the creep about x and y, rad, and the settlement, m, ``dt`` seconds after they were ``memory``.
+
+        The joint command of ``at`` is held for this time.
+        """
         faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
         return tuple([final + (part - final) * faded for final, part in pairs])
 
     def _tilt(self, at: Passage) -> tuple[Scalar, Scalar]:
-        """Return the immediate tilt under the arm's gravity moment as a rotation vector (x, y), world axes, rad."""
+        """Return the tilt that the arm's gravity moment causes at once: a rotation vector (x, y), world axes, rad."""
         x0, y0, _ = self.pivot
         mass, moment_x, moment_y = at.pull[0][0]
         about_x, about_y = self.stiffness
@@ -89,7 +95,7 @@ LARGEST_DAMPING = 0.5
 @register("effect", "settling")
 @toml_table
 class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "damping": "damping"}):
-    """Vibration of the structure after each joint: one damped mode per joint, excited by the joint's acceleration.
+    """Vibration of the structure between each joint and the tool: one damped mode, excited by the joint's acceleration.
 
     Attributes:
         frequency: Natural frequency of each joint's vibration mode (n,), Hz.
@@ -104,15 +110,19 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
     rise_time: Annotated[Scalar, MILLISECONDS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add the vibrations in ``memory`` to the joint positions of ``at``, in place; an empty memory adds nothing."""
+        """Add the vibrations in ``memory`` to the joint positions of the passage ``at``, in place.
+
+        An empty memory adds nothing.
+        """
         if memory:
             n = len(at.joints)
             at.joints = [value + swing for value, swing in zip(at.joints, memory[n : 2 * n], strict=True)]
 
     def begin(self, at: Passage) -> Components:
-        """Return 3 n components: motion profiles x of the joints, then vibrations e, then sums e' + p x'.
+        """Return 3 n components: motion profiles x of the n joints, then vibrations e, then sums e' + p x'.
 
-        Profiles and vibrations are in rad or m, sums in rad/s or m/s. The sums are continuous where the command jumps.
+        The prime is the derivative by time, p the participation. Profiles and vibrations are in rad or m, sums in rad/s
+        or m/s. The sums are continuous where the command jumps.
         """
         still = [value * 0.0 for value in at.command]
         return *at.command, *still, *still
@@ -149,7 +159,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
         return *profiles, *vibrations, *rates
 
     def drawn(self, draws: Draws) -> Settling:
-        """Return the modes of many arms, with damping ratios of at most `LARGEST_DAMPING`."""
+        """Return the vibration of many arms, drawn as in `Effect.drawn`; damping is clipped to `LARGEST_DAMPING`."""
         modes = super().drawn(draws)
         damping: Any = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in modes.damping)
         return replace(modes, damping=damping)

@@ -40,8 +40,8 @@ class Features:
     """The frequencies of a field's waves, which all arms share.
 
     Attributes:
-        frequency: Frequency of each wave along each of the F inputs ``(F, O K)``, 1/rad or 1/m: K columns for each of
-            the O outputs.
+        frequency: Angular frequency of each wave along each of the F inputs ``(F, O K)``, 1/rad or 1/m: K columns for
+            each of the O outputs.
         centre: Value that is subtracted from each input, F numbers.
         periodic: For each joint, whether its sine and cosine are inputs instead of the joint itself.
         outputs: Number of outputs O: 3 (position) or 6 (pose).
@@ -104,7 +104,7 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
     turn: tuple[tuple[float, float, float], ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Displace the tool's frame of ``at``, in place, by the field's outputs; ``memory`` is not used."""
+        """Displace the tool's frame of the passage ``at``, in place, by the field's outputs; ``memory`` is not used."""
         m, frame = at.m, at.frame
         parts = [part + constant for part, constant in zip(_outputs(m, self, at.motor), self.offset, strict=True)]
         triples = (parts[first : first + 3] for first in range(0, self.features.outputs, 3))
@@ -121,7 +121,10 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
 
 
 def _outputs(m: ModuleType, field: ResidualField, q: Scalars) -> list[Scalar]:
-    """Return the outputs of the field at joints ``q``, one number or array per output."""
+    """Return the outputs of the field at joints ``q``: displacements of the tool, m and rad, one component each.
+
+    ``m`` is the namespace of the functions: ``math``, ``numpy`` or ``torch``. ``q`` has n components, rad or m.
+    """
     features = field.features
     if m.__name__ == "torch":
         return _tensor_outputs(m, field, q)
@@ -141,7 +144,7 @@ def _outputs(m: ModuleType, field: ResidualField, q: Scalars) -> list[Scalar]:
 
 
 def _fill(field: ResidualField, inputs: Array, outputs: Array) -> None:
-    """Write the field's outputs at ``inputs`` ``(F, ...)`` into ``outputs`` ``(O, ...)``."""
+    """Write the field's outputs at ``inputs`` ``(F, ...)`` (joints minus the centre) into ``outputs`` ``(O, ...)``."""
     weight = np.broadcast_to(field.weight, (outputs.shape[-1], *field.weight.shape[-3:]))
     for first in range(0, outputs.shape[-1], CHUNK):
         some = slice(first, first + CHUNK)
@@ -149,7 +152,10 @@ def _fill(field: ResidualField, inputs: Array, outputs: Array) -> None:
 
 
 def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
-    """Return the weighted sums of the waves ``(..., O)`` at inputs ``(F, ...)``."""
+    """Return the weighted sums of the waves ``(..., O)`` at inputs ``(F, ...)`` (joints minus the centre).
+
+    ``weight`` has the weights of cosines and sines ``(O, 2, K)``, or ``(N, O, 2, K)`` for N arms.
+    """
     angle = features.angles(inputs)
     cosines, sines = (np.cos(angle) * weight[..., 0, :]).sum(-1), (np.sin(angle) * weight[..., 1, :]).sum(-1)
     return np.asarray(cosines + sines, dtype=float)
@@ -182,7 +188,7 @@ SEED = WHOLE.not_negative
 
 @toml_table
 class WavesTable:
-    """The table [drive_harmonics] of a plant file, which says how periodic drive errors are distributed.
+    """The table [drive_harmonics] of a plant file, which says how periodic errors of drives are distributed over arms.
 
     Attributes:
         seed: Seed of the periodic errors of the plant (the simulated true arm). Arms that are drawn from the plant have
@@ -236,7 +242,7 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
     harmonics: tuple[Harmonic, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add the periodic errors to the driven positions of ``at``, in place; ``memory`` is not used."""
+        """Add the periodic errors to the driven positions of the passage ``at``, in place; ``memory`` is not used."""
         at.drive(with_waves(at.m, self.harmonics, at.motor, at.driven))
 
     def drawn(self, draws: Draws) -> DriveHarmonics:
@@ -247,8 +253,8 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
         """Return the drives whose periodic errors follow from uniform random numbers.
 
         Args:
-            even: Uniform random numbers from 0 to 1 ``(..., 3 W)`` for W waves. Each wave has one number for its order
-                and one for each of its two coefficients.
+            even: Uniform random numbers from 0 to 1 ``(..., 3 W)`` for W periodic errors. Each has one number for its
+                order (1 / period), one for its sine coefficient and one for its cosine coefficient.
         """
         order, sine, cosine = np.moveaxis(even.reshape(*even.shape[:-1], len(self.spread), 3), -1, 0)
         harmonics = []
@@ -300,7 +306,7 @@ class LocalStructure(Effect, place=TOOL):
     """Displacement of the tool that varies over short distances in the joints, for one arm or many.
 
     Attributes:
-        std: Standard deviation of a weight over arms, m.
+        std: Standard deviation of a wave's weight over arms, m.
         field: The waves and their weights.
     """
 
@@ -310,7 +316,7 @@ class LocalStructure(Effect, place=TOOL):
     field: ResidualField
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Displace the tool's frame of ``at``, in place, by the field's outputs; ``memory`` is not used."""
+        """Displace the tool's frame of the passage ``at``, in place, by the field's outputs; ``memory`` is not used."""
         self.field.act(at, memory)
 
     def drawn(self, draws: Draws) -> LocalStructure:
@@ -318,14 +324,17 @@ class LocalStructure(Effect, place=TOOL):
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> LocalStructure:
-        """Return the local structure whose weights follow from uniform random numbers 0 to 1, ``(..., weights)``."""
+        """Return the local structure whose weights follow from uniform random numbers.
+
+        ``even`` has these numbers from 0 to 1, ``(..., weights)``, one for each weight.
+        """
         features = self.field.features
         weight = self.std * standard_normal_of(even).reshape(*even.shape[:-1], features.outputs, 2, features.count)
         return replace(self, field=replace(self.field, weight=weight.astype(np.float32)))
 
     @property
     def weights(self) -> int:
-        """Number of weights per arm, 2 O K."""
+        """Number of weights per arm, 2 O K: K cosines and K sines for each of the O outputs."""
         return 2 * self.field.features.outputs * self.field.features.count
 
 

@@ -29,7 +29,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
     stiffness: Annotated[tuple[Scalar, ...], toml_tables.NUMBER.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add the deflections to the joint positions of ``at``, in place; ``memory`` is not used."""
+        """Add the deflections to the joint positions of the passage ``at``, in place; ``memory`` is not used."""
         at.joints = [value + torque / k for value, torque, k in zip(at.joints, at.pull[1], self.stiffness, strict=True)]
 
 
@@ -38,8 +38,8 @@ class Boom(Effect, place=BEND):
     """Base class of effects that move the tip of a telescopic boom; each subclass defines `bent`.
 
     Attributes:
-        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
-        length: Free length at zero displacement, m; the displacement adds to it.
+        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along the link's z axis.
+        length: Free length at zero displacement, m; the joint's displacement adds to it.
     """
 
     joint: Annotated[int, toml_tables.WHOLE, BOOM]
@@ -106,7 +106,7 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
 
     Attributes:
         clearance: Clearance between boom and rollers, m.
-        overlap: Length of the boom inside the rollers at zero displacement, m; the displacement is subtracted from it.
+        overlap: Length of the boom inside the rollers at zero displacement, m; the joint's displacement shortens it.
     """
 
     clearance: Annotated[Scalar, toml_tables.MM.not_negative]
@@ -121,7 +121,7 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
         return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
-        """Return an error message if the boom of ``arm`` can extend beyond its overlap; else `Boom.fault` decides."""
+        """Return an error message if the boom of ``arm`` can extend beyond its overlap, else that of `Boom.fault`."""
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
             return super().fault(arm)
@@ -166,7 +166,10 @@ class TransmissionError(Effect, place=DRIVE):
     harmonics: Annotated[tuple[Harmonic, ...], HARMONICS] = ()
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add lead errors and periodic errors to the driven positions of ``at``, in place; ``memory`` is not used."""
+        """Add lead errors and periodic errors to the driven positions of the passage ``at``, in place.
+
+        ``memory`` is not used.
+        """
         pairs = zip(at.driven, self.lead, strict=True)
         driven = [value if isinstance(lead, float) and not lead else value * (1.0 + lead) for value, lead in pairs]
         at.drive(with_waves(at.m, self.harmonics, at.driven, driven))
@@ -268,7 +271,7 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
     preload: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Set the joints of ``at``, in place, to the positions in ``memory``."""
+        """Set the joints of the passage ``at``, in place, to the positions in ``memory``."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
@@ -276,9 +279,9 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
         return self.carry(at, tuple(at.joints), 0.0)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the joint positions after the motors have moved, by the play operator.
+        """Return the joint positions after the motors have moved to the positions of the passage ``at``, by `play`.
 
-        The positions before are in ``memory``; ``dt`` is not used.
+        ``memory`` has the joint positions before the motors moved; ``dt`` is not used.
         """
         behind, torques = [], at.pull[1] if at.load else None
         numbers = zip(at.joints, memory, self.width, self.preload, strict=True)
@@ -295,13 +298,13 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
 @register("effect", "stick_band")
 @dataclass(frozen=True)
 class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": "friction"}):
-    """Coulomb friction before an elastic drive: a joint stops short of its command, on the side that it came from.
+    """Coulomb friction of joints with elastic drives: a joint stops short of its command, on the side it came from.
 
     Attributes:
         forward: Lag of each joint that moves in the positive direction (n,), rad or m: friction / stiffness.
         backward: Lag of each joint that moves in the negative direction (n,), rad or m.
-        scatter: Standard deviation of the friction over stops, as a share of the friction. `Plant.advance` does not
-            draw it; simulated measuring campaigns and repeatability tests do (`one_stop`).
+        scatter: Standard deviation of the friction over stops, as a share of the friction. `Plant.advance` uses the
+            mean friction; simulated measuring campaigns and repeatability tests draw the scatter (`one_stop`).
     """
 
     table = joint_table(lambda *sizes: StickBand(*sizes), forward=TRAVEL, backward=TRAVEL, scatter=SCATTER)
@@ -311,7 +314,7 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
     scatter: Scalar = 0.0
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Set the joints of ``at``, in place, to the positions in ``memory``."""
+        """Set the joints of the passage ``at``, in place, to the positions in ``memory``."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
@@ -320,9 +323,9 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
         return tuple([entry + 0.5 * (backward - forward) for entry, forward, backward in numbers])
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the joint positions after the motors have moved, by the play operator.
+        """Return the joint positions after the motors have moved to the positions of the passage ``at``, by `play`.
 
-        The positions before are in ``memory``; ``dt`` is not used.
+        ``memory`` has the joint positions before the motors moved; ``dt`` is not used.
         """
         numbers = zip(at.joints, memory, self.forward, self.backward, strict=True)
         return tuple([play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers])
@@ -419,8 +422,9 @@ class Bearing:
         stiffness: Stiffness k of one bearing, N/m.
         span: Distance s between the two bearings at zero displacement, m.
         width: Distance b between the pads of a bearing, across the axis, m.
-        overhang: Distance of the link's origin ahead of its guide's outlet at zero displacement, m. The displacement is
-            added to it and subtracted from the span. None if the bearings move with the link, centred on its origin.
+        overhang: Distance along the axis from the guide's outlet to the link's origin at zero displacement, m. The
+            joint's displacement is added to the overhang and subtracted from the span. None if the bearings move with
+            the link, centred on its origin.
     """
 
     joint: Annotated[int, toml_tables.WHOLE, BOOM]
@@ -445,7 +449,10 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
     bearings: Annotated[tuple[Bearing, ...], EACH_ONCE]
 
     def flexure(self, at: Passage) -> Flexure:
-        """Return a function that moves and turns each slide's frame by its deflection under the masses it carries."""
+        """Return a function that moves and turns the frame of each slide in ``bearings``.
+
+        It does so by the slide's deflection under the masses that the slide carries.
+        """
         weights, by_joint = at.pull[0], {bearing.joint: bearing for bearing in self.bearings}
 
         def give(i: int, frame: Frame) -> Frame:
@@ -469,7 +476,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return give
 
     def fault(self, arm: Arm) -> str:
-        """Return an error message if a slide of ``arm`` can extend beyond its span, else an empty string."""
+        """Return an error message if a slide of ``arm`` can extend beyond its bearings' span, else an empty string."""
         for bearing in self.bearings:
             limit = arm.nominal.upper[bearing.joint]
             if bearing.overhang is not None and bearing.span <= limit:
@@ -488,7 +495,7 @@ def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     """Return gravity's moment about the point (x, y), N*m: its components about the world's x and y axes.
 
     Args:
-        weight: The mass and its first moments.
+        weight: The mass, kg, and that mass times x and times y of its centre in the world, kg*m.
         x: World x of the point, m. Its height does not matter.
         y: World y of the point, m.
     """
@@ -499,8 +506,8 @@ def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
 def _swung(wx: Scalar, wy: Scalar, wz: Scalar, arm: Scalar, z: Scalars, moved: Scalars) -> tuple[Scalar, ...]:
     """Return a frame's displacement, three components of position and three of rotation, by a shift and a small turn.
 
-    The shift is ``moved``, m. The turn is the rotation vector w, rad, about a point ``arm`` m behind the frame along
-    its axis ``z``.
+    The shift is ``moved``, m. The turn is the rotation vector (wx, wy, wz), rad, about the point at -``arm`` m on the
+    frame's axis ``z``. All are in world axes.
     """
     zx, zy, zz = z
     across = (wy * zz - wz * zy, wz * zx - wx * zz, wx * zy - wy * zx)

@@ -20,7 +20,10 @@ MOST_RATIO = 1e3
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
-    """Return the arm of the plant file that is being read; None if no plant file is read or it names no arm."""
+    """Return the arm of the plant file that is being read, from the ``context`` that its reader passes on.
+
+    Return None if no plant file is being read or the file names no arm.
+    """
     return (context or {}).get("arm")
 
 
@@ -61,8 +64,8 @@ class Arm:
         speed: Largest joint speeds, rad/s or m/s, shape (n,).
         tolerance_class: Name of the tolerance class of the arm's parts, if the file gives one, else None.
         load: The masses that the links carry, if the file gives them, else None.
-        pivots: Distance of each link's joint from the origin of the link's frame, along the joint's axis (L,), m; None
-            if the file does not place joints. Without pivots, each joint is at its frame's origin.
+        pivots: Position of each link's joint on its axis, as the distance from the origin of the link's frame (L,), m.
+            None if the file does not place joints; each joint then is at the origin of its link's frame.
     """
 
     name: str
@@ -159,7 +162,11 @@ def geometry_from_arrays(
 
 
 def _tree(named: Mapping[str, NDArray[Any]], links: int, which: str) -> LinkTree:
-    """Return the saved `LinkTree` after checking it: each link's parent must come before the link."""
+    """Return the saved `LinkTree` after checking it: each link's parent must come before the link.
+
+    ``named`` has the saved arrays by name, ``links`` is the number of links, and ``which`` names the geometry in error
+    messages.
+    """
     parts = tuple(str(name) for name in named["tree_names"])
     parent = tuple(map(int, finite(named, "tree", (links,), which)))
     *carriers, sensor, target = map(int, finite(named, "tree_links", (len(parts) + 2,), which))
@@ -169,7 +176,11 @@ def _tree(named: Mapping[str, NDArray[Any]], links: int, which: str) -> LinkTree
 
 
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
-    """Return the saved `Coupling` after checking its joints, ratios and link types."""
+    """Return the saved `Coupling` after checking its joints, ratios and link types.
+
+    ``named`` has the saved arrays by name, ``joints`` is the number of joints, and ``which`` names the geometry in
+    error messages.
+    """
     joint, ratio, slides = finite(named, "coupling", (3, named["coupling"].shape[-1]), which).tolist()
     if not set(joint) <= set(range(joints)) or ("tree" not in named and 0.0 in ratio) or not set(slides) <= {0.0, 1.0}:
         raise InputError(f"{which}/coupling names a joint that is not there, a ratio of zero, or no kind of link")

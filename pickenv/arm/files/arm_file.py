@@ -34,7 +34,12 @@ Vector = tuple[float, float, float]
 
 @toml_tables.toml_table
 class JointTable:
-    """The keys that all entries of [[joints]] in an arm file share, be they revolute, prismatic or following links."""
+    """The keys that all entries of [[joints]] in an arm file share, be they revolute, prismatic or following links.
+
+    ``number`` counts the links from 1. ``alpha`` to ``beta`` are the nominal link parameters (`Geometry`), ``true_…``
+    those of the true arm. ``ratio`` is the link's displacement per displacement of the joint that moves it. ``mass``
+    and ``centre`` are those of the link (`Load`).
+    """
 
     _: KW_ONLY
     number: Annotated[int, toml_tables.WHOLE]
@@ -75,7 +80,10 @@ class Prismatic(JointTable):
 
 @toml_tables.toml_table
 class Follower(JointTable):
-    """An entry of [[joints]] in an arm file: a link without a joint of its own, which another link's joint moves."""
+    """An entry of [[joints]] in an arm file: a link without a joint of its own, which another link's joint moves.
+
+    ``follows`` is the number, from 1, of that other link.
+    """
 
     type: Annotated[Literal["R", "P"], Type]
     follows: Annotated[int, toml_tables.WHOLE]
@@ -177,7 +185,11 @@ def read_arm(path: Path) -> Arm:
 
 
 def _coupling(links: list[Any], leaders: list[Any]) -> Coupling | None:
-    """Return the joint that moves each link, from ``follows`` and ``ratio``; None if each joint moves its own link."""
+    """Return the joint that moves each link, from the entries' ``follows`` and ``ratio``.
+
+    Return None if each joint moves its own link alone. ``links`` are the entries of [[joints]] in order, ``leaders``
+    those that have a joint.
+    """
     if len(leaders) == len(links) and all(link.ratio == 1.0 for link in links):
         return None
     order = {link.number: i for i, link in enumerate(leaders)}
@@ -223,11 +235,11 @@ def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def ur_row(path: Path) -> tuple[JointRow, str]:
-    """Read the joints of a UR kinematics file.
+    """Read the chain of joints of a UR kinematics file.
 
     Returns:
-        Two values: the chain of joints, from which `load_ur_yaml` makes an arm; and text to append to the arm's source,
-        a comma and the robot's hash. The text is empty if the file has no hash.
+        Two values. The first is the chain of joints, from which `load_ur_yaml` makes an arm. The second is a text to
+        append to the arm's source: a comma and the hash of the robot in the file; empty if the file has no hash.
 
     Raises:
         InputError: If the file is no UR kinematics file, or a joint or a number is missing; the message names it.

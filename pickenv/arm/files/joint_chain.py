@@ -35,10 +35,10 @@ from pickenv.base import InputError, in_file, shortened
 
 
 def link_origins(geometry: Geometry) -> list[Pose]:
-    """Return the pose of each link in the frame of the link before, with joints at zero.
+    """Return the pose of each link in the frame of the previous link, with joints at zero.
 
-    The first pose includes the base. A pose is the whole product Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d); a joint then
-    turns about, or slides along, z of the resulting frame.
+    The first pose includes the base, so it is in the world frame. A pose is the whole product Rx(alpha) Tx(a) Ry(beta)
+    Rz(theta) Tz(d); a joint turns about, or slides along, z of the resulting frame.
     """
     origins, before = [], geometry.base
     for i in range(geometry.links):
@@ -88,9 +88,9 @@ def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
         root: Name of the root link.
 
     Raises:
-        InputError: If the tree branches, and the longest chain after the branching has fewer than `SIDE` times the
-            joints of the second-longest. There is no error if more joints come before the branching than are in the
-            second-longest chain: the arm then ends at the branching.
+        InputError: If the tree branches into two long chains: the longest has fewer than `SIDE` times the joints of the
+            second-longest. There is no error if the chain from the root to the branching has more joints than the
+            second-longest: the arm then ends at the branching.
     """
     order = [root]
     for link in order:  # grows as it is walked
@@ -128,9 +128,10 @@ def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
 
 
 def _hands(children: Mapping[str, Sequence[Carried]], order: Sequence[str]) -> set[str]:
-    """Return the gripper links: those that a joint with a gripper's name moves, and no other kind of joint follows.
+    """Return the gripper links: those that a joint with a gripper's name moves, without any other joint after them.
 
-    The set is empty if all joints have names of grippers. ``order`` lists all links, parents first.
+    The set is empty if all joints have names of grippers. ``children`` has the children of each link, by the link's
+    name; ``order`` lists all links, parents first.
     """
     hands: set[str] = set()
     arms: set[str] = set()  # links behind which another joint stands
@@ -161,11 +162,11 @@ class ChainJoint:
 
     Attributes:
         name: Name of the joint, for messages.
-        driver: Name of the joint that drives this one: itself, or the joint that it follows.
+        driver: Name of the commanded joint that drives this joint: its own name, or that of the joint it follows.
         ratio: Displacement of this joint per displacement of the driver; 0 if it does not move.
         offset: Displacement of this joint if the driver is at zero, rad or m.
         slides: Whether the joint slides (else it turns).
-        origin: Pose of the joint in the frame of the joint before, or in the world frame for the first joint.
+        origin: Pose of the joint in the frame of the previous joint, or in the world frame for the first joint.
         axis: The joint's axis, a unit vector (3,) in its own frame.
         allowed: Smallest and largest displacement and largest speed, if these narrow the driver's limits; else None.
         body: Name of the body that the joint moves, if the file places bodies instead of joints (MJCF); else empty.
@@ -205,14 +206,14 @@ class Mass(NamedTuple):
 
 
 class JointRow(NamedTuple):
-    """The chain of joints from the root of a robot file to a tip.
+    """The chain of joints from the root of a robot file to a tip; "row" here means chain, not row of measurements.
 
     Attributes:
         name: Name of the robot in the file.
         root: Name of the first link.
         tip: Name of the last link.
         joints: The joints from root to tip, except fixed joints. The pose of a fixed joint is part of the origin of the
-            joint after it.
+            next joint.
         tool: Pose of the tip in the frame of the last joint.
         drives: The commanded joints, by name.
         mount: What holds the tip: the name of a fixed joint (URDF), of a body without joints, or "site NAME" (MJCF).
@@ -235,8 +236,8 @@ class JointRow(NamedTuple):
         The origins and axes of the joints are in world axes.
 
         Args:
-            drives: Commanded joints by name, changed in place. Those of this chain are added, with limits and speeds
-                narrowed to what the joints that they move allow.
+            drives: Commanded joints by name, changed in place. Commanded joints of this chain are added. Their limits
+                and speeds are narrowed until all joints that they move allow them.
         """
         links: list[ChainJoint] = []
         pose = identity_pose()
@@ -253,10 +254,10 @@ def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) 
     """Return the arm that one chain of joints describes, or the whole robot that several chains describe.
 
     Args:
-        rows: Chains of joints: one for an arm. For a whole robot, one for each part with a sensor or a target.
+        rows: Chains of joints (`JointRow`): one for an arm; for a whole robot, one per part with a sensor or a target.
         path: The file, which becomes the arm's source.
         form: The file's format, such as "URDF".
-        named: Whether the caller gave the tip; if not, the source says that it is the flange by default.
+        named: Whether the caller gave the tip; if not, the arm's source says that the tip is the flange by default.
 
     Raises:
         InputError: If `geometry_of` raises one; the message names the file.
@@ -275,11 +276,11 @@ def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None,
     joints. The robot's link table holds one branch after another.
 
     Args:
-        rows: Chains of joints: one for an arm. For a whole robot, one for each part with a sensor or a target.
+        rows: Chains of joints (`JointRow`): one for an arm; for a whole robot, one per part with a sensor or a target.
 
     Raises:
         InputError: If no joint moves, if limits leave no motion, if two slides cancel each other, or if a chain
-            branches off between two stages of a slide.
+            branches off between two sections of a telescopic slide.
     """
     drives: dict[str, Drive] = {}
     joints: list[ChainJoint] = []  # of all branches, in the world's axes, each behind a fixed link of no motion
@@ -339,7 +340,8 @@ def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None,
 def _load(masses: Sequence[Mass], joints: Sequence[ChainJoint], zeros: Sequence[Pose]) -> Load | None:
     """Return the masses of the links; each body's mass is added to the last link in the table that carries the body.
 
-    Return None if no body has a mass, if a mass is unknown, or if all masses are equal (placeholders).
+    Return None if no body has a mass, if a mass is unknown, or if all masses are equal (placeholders). ``joints`` has
+    one joint per link, in world axes, and ``zeros`` the pose of each link in the world frame, with joints at zero.
     """
     places = {joint.name: i for i, joint in enumerate(joints) if joint.ratio}
     moments = np.zeros((len(joints), 4))
@@ -386,7 +388,7 @@ def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | No
 
 
 def _within(driver: Drive, joint: ChainJoint) -> Drive:
-    """Return ``driver`` with limits and speed narrowed to those that ``joint``, which follows it, allows."""
+    """Return ``driver`` with limits and speed narrowed until ``joint``, which the driver moves, allows them."""
     if joint.allowed is None:
         return driver
     least, most, speed = joint.allowed
@@ -428,9 +430,10 @@ def _one_joint(link: Sequence[ChainJoint]) -> ChainJoint:
 
 
 def _in_order(links: list[ChainJoint], drives: Mapping[str, Drive]) -> tuple[str, ...]:
-    """Return the drivers' names in the order of their links in the table.
+    """Return the names of the commanded joints ``drives`` in the order of their links in the table.
 
-    A driver's link is the first that has its joint type and the ratio 1, or else the first that it moves.
+    A commanded joint's link is the first that it moves with the ratio 1 and its own joint type, or else the first that
+    it moves. ``links`` has one joint per link.
     """
 
     def place(name: str) -> int:

@@ -15,7 +15,10 @@ from pickenv.base import ARCMIN, DEG, MM, WHOLE, InputError, Kinds, Then, Unit, 
 
 
 def joint_index(number: int, context: Any) -> int:
-    """Convert a joint number (from 1) to an index (from 0); refuse a number that the arm in ``context`` lacks."""
+    """Convert a joint number (from 1) to an index (from 0); refuse a number that the arm in ``context`` lacks.
+
+    ``context`` is the mapping that is passed on while a plant file is read; it holds the arm under the key ``arm``.
+    """
     if (arm := arm_in(context)) is not None and not 1 <= number <= arm.nominal.joints:
         raise fault(f"a joint number from 1 to {arm.nominal.joints}")
     return number - 1
@@ -43,7 +46,7 @@ def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float
     """Return for each key a tuple with one number per joint.
 
     Args:
-        table: A table whose attribute ``joints`` is a list of entries, each for one joint.
+        table: A table whose attribute ``joints`` is a list of entries, each for one joint with the index ``joint``.
         context: Context of the plant file that is being read; it holds the arm.
         keys: Names of the sizes in the entries. The number of a joint without an entry is 0.
 
@@ -60,7 +63,7 @@ def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float
 
 
 class Entry(dict[str, Any]):
-    """One table of a list with a table per joint; ``slides`` says whether this table's joint is prismatic."""
+    """One table of a list that has a table per joint; ``slides`` says whether the table's joint is prismatic."""
 
     slides = False
 
@@ -68,7 +71,7 @@ class Entry(dict[str, Any]):
 class ByJoint:
     """Annotation of a list of tables, each with a ``joint`` number and sizes.
 
-    Give a pair of units for each size: that of revolute joints and that of prismatic joints.
+    The arguments are the sizes by name, each with two units: that of revolute joints and that of prismatic joints.
     """
 
     def __init__(self, **units: tuple[Unit, Unit]) -> None:

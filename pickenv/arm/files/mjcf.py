@@ -110,7 +110,7 @@ def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
 
 
 def _weigh(body: Element, end: Array) -> None:
-    """Give a link the mass, the inertia and the look of a rod from its origin to ``end``, m."""
+    """Give a link's body the mass, the inertia and the look of a rod from its origin to ``end``, body's frame, m."""
     length = float(np.linalg.norm(end))
     mass = max(DENSITY * length, LEAST_MASS)
     # Across the rod; along it no less, so that it is never singular.
@@ -180,7 +180,7 @@ class MjcfValues:
         Args:
             tag: "joint" or "site".
             element: The element.
-            childclass: Default class of elements that name none; empty for the main class.
+            childclass: Default class that is used if the element names none; empty for the main class.
 
         Raises:
             InputError: If there is no such class.
@@ -270,7 +270,8 @@ class MjcfValues:
 def _over(below: Attributes, own: Attributes) -> dict[str, str]:
     """Return the inherited attributes ``below``, overridden by an element's attributes ``own``.
 
-    An own orientation replaces an inherited one. But an own quat is dropped if another kind is inherited, as in MuJoCo.
+    An element's orientation replaces an inherited one. But, as in MuJoCo, an element's quat is dropped if another kind
+    of orientation (such as euler) is inherited.
     """
     ways = [key for key in ORIENTATIONS if key in own]
     inherited = [key for key in ORIENTATIONS[1:] if key in below]
@@ -292,9 +293,9 @@ class _Joint:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A body or a site: its pose in its parent, the joints that move it, in the file's order, and its mass and centre.
+    """A body or a site: its pose in the frame of its parent, and the joints that move it, in the file's order.
 
-    The mass is in kg, the centre in the body's frame in m; see `_inertial`.
+    ``mass`` has its mass, kg, and its centre of mass in its own frame, m; see `_inertial`.
     """
 
     name: str
@@ -371,7 +372,10 @@ def _follow_includes(root: Element, main: Path) -> None:
 
 
 def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
-    """Return the world and the bodies by name, and the sites by "site NAME"."""
+    """Return the world and the bodies by their names, and the sites by the keys "site NAME".
+
+    ``values`` are the settings of the file, by which the numbers in the elements under ``root`` are read.
+    """
     bodies = {WORLD: _Body(WORLD, "", identity_pose())}
     worlds = reversed(root.findall("worldbody"))
     waiting = [(world, WORLD, identity_pose(), world.get("childclass", "")) for world in worlds]
@@ -406,6 +410,7 @@ def _inertial(body: Element, name: str) -> tuple[float, Array] | None:
     """Return the mass of a body, kg, and its centre of mass in the body's frame (3,), m.
 
     The mass is NaN if only the body's shapes determine it. Return None for a body without <inertial> and shapes.
+    ``name`` names the body in error messages.
     """
     if (inertial := body.find("inertial")) is None:
         shapes = body.find("geom") is not None or body.find("frame/geom") is not None
@@ -416,7 +421,7 @@ def _inertial(body: Element, name: str) -> tuple[float, Array] | None:
 
 
 def _masses(root: Element, bodies: Mapping[str, _Body]) -> Iterator[Mass]:
-    """Yield the masses of the bodies; yield nothing if they are those of rods (`RODS`) or come from the shapes."""
+    """Yield the mass of each body; yield nothing if masses are placeholders (`RODS`) or computed from shapes."""
     by_shape = any(compiler.get("inertiafromgeom") == "true" for compiler in root.iterfind("compiler"))
     if by_shape or root.find(f"custom/text[@name='{RODS}']") is not None:
         return
@@ -431,7 +436,7 @@ def _masses(root: Element, bodies: Mapping[str, _Body]) -> Iterator[Mass]:
 
 
 def _anchor(joint: _Joint) -> Array:
-    """Return the joint's anchor, a point on its axis, in the frame of the body that it moves (3,), m."""
+    """Return the joint's anchor, a point on its axis (3,), m, in the frame of the body that the joint moves."""
     point = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", M.most)
     return behind(joint.within, Pose(point, np.eye(3))).position
 
@@ -452,7 +457,7 @@ def _end(bodies: Mapping[str, _Body], tip: str | None) -> str:
 
 
 def _above(bodies: Mapping[str, _Body], key: str) -> list[str]:
-    """Return the keys of a body and of its ancestors, from the body towards the world, without the world."""
+    """Return the keys in ``bodies`` of the body ``key`` and of its ancestors, towards the world, without the world."""
     keys = []
     while key != WORLD:
         keys.append(key)
@@ -463,7 +468,10 @@ def _above(bodies: Mapping[str, _Body], key: str) -> list[str]:
 def _joints(
     chain: list[str], bodies: Mapping[str, _Body], root: Element, values: MjcfValues
 ) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
-    """Return the joints along a chain of bodies, the tip's pose in the last joint's frame, and the driving joints."""
+    """Return the joints along a chain of bodies, the tip's pose in the last joint's frame, and the driving joints.
+
+    ``chain`` has the keys in ``bodies`` of the bodies from the world to the tip.
+    """
     joints: dict[str, _Joint] = {}
     for joint in (joint for body in bodies.values() for joint in body.joints):
         if joint.name in joints:
@@ -495,7 +503,10 @@ def _joints(
 
 
 def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> dict[str, tuple[str, float, float]]:
-    """Return for each joint with an equality constraint the joint (or world) that it follows, ratio and offset."""
+    """Return for each joint with an equality constraint the joint (or the world) that it follows, ratio and offset.
+
+    The displacement of the joint is the offset, rad or m, plus the ratio times that of the joint that it follows.
+    """
     ties: dict[str, tuple[str, float, float]] = {}
     for tie in root.iterfind("equality/joint"):
         name, leader, law = tie.get("joint1", ""), tie.get("joint2", WORLD), tie.get("polycoef", "")
@@ -517,7 +528,10 @@ def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> di
 
 
 def _refuse_loops(root: Element, bodies: Mapping[str, _Body], moved: set[str]) -> None:
-    """Raise an error if a constraint closes a loop through one of the bodies ``moved``, those of the chain's joints."""
+    """Raise an error if a constraint closes a loop through one of the bodies ``moved``.
+
+    These are the keys in ``bodies`` of the bodies that the joints of the chain move.
+    """
     for tie in (*root.iterfind("equality/connect"), *root.iterfind("equality/weld")):
         ends = [f"site {tie.get(f'site{i}')}" if tie.get("site1") else tie.get(f"body{i}") for i in (1, 2)]
         bound = [end for end in ends if end is not None and end in bodies]

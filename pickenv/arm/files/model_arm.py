@@ -102,7 +102,8 @@ class ModelArm:
         nominal: The geometry of the unchanged model.
         joints: Indices of the arm's joints in the model ``(n,)``.
         bodies: Indices of the bodies that these joints move ``(n,)``.
-        above: Frame of each body's parent body (n frames): the first in the world, the others in the link before.
+        above: Frame of each body's parent body (n frames): the first in world axes, each later one in the frame of the
+            previous link.
         within: Frame of each body in its link's frame (n frames).
         pivot: Axis of the last joint and a point on it, in the last link's frame ``(2, 3)``, m.
     """
@@ -126,7 +127,7 @@ class ModelArm:
         return list(self.model.qpos0[self.places].tolist())
 
     def take(self, geometry: Geometry) -> None:
-        """Give the model's arm the base, links and tool of another geometry; bodies attached to a link move with it."""
+        """Give the model's arm the base, links and tool of another geometry; bodies attached to a link move along."""
         chain = chain_of(geometry)
         links = frames(math, chain, self.rest)[1:]
         steps = [links[0], *(frame_within(*pair) for pair in pairwise(links))]
@@ -192,7 +193,7 @@ def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:
     data, places, chain = mujoco.MjData(model), model.jnt_qposadr[joints], chain_of(nominal)
 
     def stands(joints: Array) -> tuple[list[Frame], list[Frame]]:
-        """Return the frames ``above`` and ``within`` of `ModelArm` at these joints ``(n,)``."""
+        """Return the frames ``above`` and ``within`` of `ModelArm`, computed at joints ``(n,)``, rad or m."""
         data.qpos[:] = model.qpos0
         data.qpos[places] = joints
         mujoco.mj_kinematics(model, data)

@@ -112,7 +112,11 @@ def _moving_link(robot: Element, name: str) -> Element:
 def _joint(
     robot: Element, name: str, slides: bool | None, parent: str, child: str, origin: Pose, limits: Sequence[float] = ()
 ) -> Element:
-    """Add a joint along or about z with lower limit, upper limit and speed; it is fixed if ``slides`` is None."""
+    """Add a joint between the links ``parent`` and ``child`` to a robot, along or about z of its own frame.
+
+    ``origin`` is the pose of this frame in the parent link. The joint slides if ``slides`` is true, turns if false, and
+    is fixed for None. ``limits`` has its lower limit, upper limit and speed, rad and rad/s or m and m/s.
+    """
     kind = "fixed" if slides is None else "prismatic" if slides else "revolute"
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
@@ -137,7 +141,7 @@ def roll_pitch_yaw(rotation: Array) -> Array:
 
 
 def _rod(link: Element, end: Array) -> None:
-    """Draw a link as a rod from its origin to ``end``, m."""
+    """Draw a link as a rod from its origin to ``end``, in the link's frame, m."""
     if (length := float(np.linalg.norm(end))) < SHORTEST_ROD:
         return
     tilt = np.arccos(end[2] / length), np.arctan2(end[1], end[0])
@@ -201,7 +205,7 @@ def urdf_row(path: Path, tip: str | None = None) -> JointRow:
 
 
 def _masses(root: Element, above: Mapping[str, Element]) -> Iterator[Mass]:
-    """Yield the mass of each link that has <inertial>."""
+    """Yield the mass of each link that has <inertial>; ``above`` is the joint above each link, by the link's name."""
     for link in root.iterfind("link"):
         if (inertial := link.find("inertial")) is None:
             continue
@@ -226,7 +230,10 @@ def _origin(joint: Element) -> Pose:
 
 
 def _joints(chain: list[Element], by_name: Mapping[str, Element]) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
-    """Return the moving joints of a chain of elements, the tip's pose in the last joint's frame, and the drives."""
+    """Return the moving joints of a chain, the tip's pose in the last joint's frame, and the commanded joints by name.
+
+    ``chain`` has the joint elements from root to tip, ``by_name`` all joint elements of the file.
+    """
     joints: list[ChainJoint] = []
     drives: dict[str, Drive] = {}
     before = identity_pose()  # from the last joint that moves
@@ -267,7 +274,10 @@ def _unique(joints: list[Element]) -> tuple[dict[str, Element], dict[str, Elemen
 
 
 def _chain(above: Mapping[str, Element], tip: str | None) -> tuple[list[Element], str]:
-    """Return the joints from the root to ``tip`` (the flange if None) and the tip's name; raise an error for a loop."""
+    """Return the joints from the root to ``tip`` (the flange if None) and the tip's name; raise an error for a loop.
+
+    ``above`` is the joint above each link, by the link's name.
+    """
     try:
         TopologicalSorter({link: [_link(joint, "parent")] for link, joint in above.items()}).prepare()
     except CycleError as error:
@@ -294,7 +304,10 @@ def _flange(above: Mapping[str, Element]) -> str:
 
 
 def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, float, float]:
-    """Return the joint that drives this one, over any number of mimics, with the overall multiplier and offset."""
+    """Return the joint that drives ``joint``, over any number of mimics, with overall multiplier and offset.
+
+    ``by_name`` has all joint elements of the file by name. The offset is in rad or m.
+    """
 
     def mimicked(name: str) -> tuple[str, float, float] | None:
         if (mimic := by_name[name].find("mimic")) is None:

@@ -64,7 +64,7 @@ def xml_number(text: str, owner: str, most: float) -> float:
 
     Args:
         text: The attribute's text.
-        owner: Name of the number in error messages.
+        owner: What the number is, for error messages: "offset of joint 'J1'".
         most: Largest absolute value allowed.
 
     Raises:
@@ -79,7 +79,7 @@ def xml_number(text: str, owner: str, most: float) -> float:
 
 
 def xml_mass(text: str, owner: str) -> float:
-    """Return the mass of a link or body, kg, from an attribute's text; ``owner`` names it in error messages.
+    """Return the mass of a link or body, kg, from an attribute's text; ``owner`` is the link or body in messages.
 
     Raises:
         InputError: If the text is no number, or the number is negative or too large.
@@ -102,5 +102,5 @@ def unit_vector(values: Array, what: str) -> Array:
 
 
 def numbers_text(numbers: ArrayLike) -> str:
-    """Return numbers as the text of an attribute, with all their digits."""
+    """Return numbers as the text of an attribute, separated by spaces, with all their digits."""
     return " ".join(repr(float(number)) for number in np.atleast_1d(numbers))

@@ -33,12 +33,15 @@ def namespace_of(m: ModuleType, value: Scalar) -> ModuleType:
 
 
 def exponential(m: ModuleType, value: Scalar) -> Scalar:
-    """Return the exponential of ``value``; ``m`` is the namespace if ``value`` is no plain number."""
+    """Return the exponential of ``value``; ``m`` is ``numpy`` or ``torch`` if ``value`` is no plain number."""
     return namespace_of(m, value).exp(value)
 
 
 def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """Return ``value`` clipped to ``low`` and ``high``, both plain floats or both of the type of ``value``."""
+    """Return ``value`` clipped to ``low`` and ``high``; ``m`` is the namespace: ``math``, ``numpy`` or ``torch``.
+
+    The two limits are plain floats, or both of the type of ``value``.
+    """
     if m is math:
         return low if value < low else high if value > high else value
     if m is np:
@@ -47,14 +50,20 @@ def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
 
 
 def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
-    """Return ``yes`` where ``condition`` is true, else ``no``."""
+    """Return ``yes`` where ``condition`` is true, else ``no``.
+
+    ``m`` is the namespace: ``math``, ``numpy`` or ``torch``.
+    """
     if m is math or isinstance(condition, bool):
         return yes if condition else no
     return m.where(condition, yes, no)
 
 
 def possible(m: ModuleType, condition: Scalar) -> bool:
-    """Return whether ``condition`` may be true in some entry; always True with torch, to avoid waiting for the GPU."""
+    """Return whether ``condition`` may be true in some entry; always True with torch, to avoid waiting for the GPU.
+
+    ``m`` is the namespace: ``math``, ``numpy`` or ``torch``.
+    """
     return bool(condition) if m is math else bool(np.any(condition)) if m is np else True
 
 
@@ -64,8 +73,8 @@ def set_aside(m: ModuleType, condition: Scalar) -> bool:
     Whoever runs the traced formula computes that case separately. Always False for `math`, `numpy` and `torch`.
 
     Args:
-        m: The namespace.
-        condition: Where the rare case occurs.
+        m: The namespace of the formula: ``math``, ``numpy``, ``torch`` or one that traces.
+        condition: Number or array that is true where the rare case occurs.
     """
     note = getattr(m, "set_aside", None)
     return note is not None and bool(note(condition))
@@ -75,7 +84,7 @@ def outside(m: ModuleType, function: Callable[..., None], values: Scalars, rows:
     """Record the call of a function of whole arrays, if ``m`` is a namespace that traces formulas.
 
     Args:
-        m: The namespace.
+        m: The namespace of the formula: ``math``, ``numpy``, ``torch`` or one that traces.
         function: Function that takes an input array ``(k, N)`` and an output array ``(rows, N)`` and fills the output.
             Columns are independent of one another.
         values: The k inputs.
@@ -89,5 +98,8 @@ def outside(m: ModuleType, function: Callable[..., None], values: Scalars, rows:
 
 
 def nearest_whole(m: ModuleType, value: Scalar) -> Scalar:
-    """Return the integer nearest to ``value``; halves are rounded to the even neighbour, as in IEEE 754."""
+    """Return the integer nearest to ``value``; halves are rounded to the even neighbour, as in IEEE 754.
+
+    ``m`` is the namespace: ``math``, ``numpy`` or ``torch``.
+    """
     return float(round(value)) if m is math else m.round(value)

@@ -101,10 +101,11 @@ def geometry_from_axes(
 
 
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
-    """Return origin and x direction of the frame on axis (near, z), from its common normal with axis (point, next_z).
+    """Return origin (3,), m, and x direction (3,) of the frame on a joint's axis, from its common normal with the next.
 
-    For parallel axes, and for axes whose angle goes into beta, the origin is ``near``. If the axes coincide, x is as
-    near to ``previous`` as possible.
+    The axis has the direction ``z`` and contains the point ``near``; the next one has ``next_z`` and ``point``. For
+    parallel axes, and for axes whose angle goes into beta, the origin is ``near``. If the axes coincide, x is as near
+    to the direction ``previous`` as possible.
     """
     cross = np.cross(z, next_z)
     if (sine := float(np.linalg.norm(cross))) < PARALLEL:  # any normal will do: take the one at ``near``
@@ -121,7 +122,7 @@ def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous:
 
 
 def _perpendicular(z: Array, wish: Array) -> Array:
-    """Return the unit vector perpendicular to ``z`` that is nearest to ``wish``."""
+    """Return the unit vector perpendicular to the unit vector ``z`` that is nearest to the direction ``wish``."""
     across = wish - z * (z @ wish)
     if np.linalg.norm(across) < 1e-6:
         across = np.eye(3)[int(np.argmin(np.abs(z)))]
@@ -173,7 +174,7 @@ class Chain(NamedTuple):
     tree: LinkTree | None = None
 
     def hand(self, links: Sequence[Frame]) -> Frame:
-        """Return the frame of the link that carries the tool; ``links`` is the result of `frames`."""
+        """Return the frame, in world axes, of the link that carries the tool; ``links`` is the result of `frames`."""
         return links[-1] if self.tree is None else links[self.tree.target + 1]
 
 
@@ -236,7 +237,7 @@ def frames(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = No
 def _from_the_sensor(chain: Chain, links: list[Frame], frame: Frame) -> Frame:
     """Return ``frame`` moved with the whole chain, so that the sensor's link has the pose of the chain's base.
 
-    ``links`` and ``frame`` come from `_from_the_base`.
+    ``links`` are the frames of base and links that `_from_the_base` returned; ``frame`` is in the same axes.
     """
     assert chain.tree is not None
     return attach(chain.base, frame_within(links[chain.tree.sensor + 1], frame))
@@ -319,7 +320,7 @@ def split_joints(geometry_joints: int, q: ArrayLike) -> list[Array]:
     """Check the shape of joints ``(..., n)`` and return them as n arrays ``(...,)``.
 
     Args:
-        geometry_joints: Number of joints n of the arm.
+        geometry_joints: Number of joints n of the arm's geometry.
         q: Joint displacements ``(..., n)``, rad or m.
 
     Raises:
@@ -398,9 +399,10 @@ def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
 
 
 def drawn_parts(points: Array) -> list[int]:
-    """Return the index of the first point of each segment of polylines ``(..., K, 3)`` that is long enough to draw.
+    """Return the index, from 0, of the first point of each segment of polylines that is long enough to draw.
 
-    A segment is long enough if it exceeds `SHORTEST_LINK` in some pose.
+    ``points`` ``(..., K, 3)``, m, has one polyline of K points per pose. A segment between neighbouring points is long
+    enough if it exceeds `SHORTEST_LINK` in some pose.
     """
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1).reshape(-1, points.shape[-2] - 1)
     return [int(i) for i in np.flatnonzero(lengths.max(axis=0) > SHORTEST_LINK)]

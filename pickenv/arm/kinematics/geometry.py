@@ -76,7 +76,7 @@ class Coupling:
     slides: tuple[bool, ...]
 
     def displacements(self, q: Sequence[Any]) -> list[Any]:
-        """Return the displacement of each link, rad or m.
+        """Return the displacement of each of the L links, rad or m.
 
         Args:
             q: The n joint displacements, rad or m: floats, or arrays or tensors of one shape.
@@ -92,7 +92,7 @@ class LinkTree:
     index -1.
 
     Attributes:
-        parent: Index of each link's parent link (L,). A parent comes before its child.
+        parent: Index of each link's parent link (L,), from 0; -1 for frame 0. A parent comes before its child.
         names: Names of the parts of the robot that may carry a sensor or a target.
         carriers: For each of these parts, the index of the link that it is fixed to.
         sensor: Index of the link that carries the sensor.
@@ -124,8 +124,8 @@ class Geometry:
     Attributes:
         joint_names: One name per joint, used in messages and tables.
         prismatic: For each joint, whether it slides (else it turns), shape (n,).
-        alpha: Twist alpha(i-1) of each link, rad, shape (L,); L = n without a coupling. All five link parameters may
-            carry leading batch dimensions (one table per arm).
+        alpha: Twist alpha(i-1) of each link i, counted from 1, rad, shape (L,); L = n without a coupling. All five link
+            parameters may carry leading batch dimensions (one table per arm).
         a: Length a(i-1) of each link, m.
         theta: Joint angle at zero displacement, rad; a revolute joint's displacement adds to it.
         d: Offset at zero displacement, m; a prismatic joint's displacement adds to it.
@@ -179,9 +179,10 @@ class Geometry:
 
     @property
     def link_names(self) -> tuple[str, ...]:
-        """One name per link, shape (L,): the joint's name, with a number if the joint moves several links.
+        """One name per link, shape (L,): the name of the joint that moves it.
 
-        A fixed link has the name "mount of JOINT", with the joint that `owners` gives for it.
+        If a joint moves several links, the link's number among them follows, from 1: "J2 (1 of 2)". A fixed link has
+        the name "mount of JOINT", with the joint that `owners` gives for the link.
         """
         names = []
         for i, (joint, ratio) in enumerate(zip(self.owners, self.ratios, strict=True)):
@@ -191,7 +192,7 @@ class Geometry:
         return tuple(names)
 
     def links_of(self, joint: int) -> list[tuple[int, float]]:
-        """Return the index and the ratio (see `Coupling`) of each link that a joint moves."""
+        """Return the index and the ratio (see `Coupling`) of each link that a joint moves; indices count from 0."""
         return self._moved[joint]
 
     @cached_property
@@ -209,9 +210,10 @@ class Geometry:
 
     @cached_property
     def senses(self) -> Array:
-        """Sign of each link's effect on the tool pose (L,): 1 if the link carries the target, -1 if the sensor.
+        """Sign of each link's effect on the tool pose (L,): 1 if the link carries the target, -1 for the sensor.
 
-        The sign is 0 if the link carries both or neither, because the pose between them then does not change.
+        The tool pose is the target's pose relative to the sensor. A link that carries both or neither has the sign 0,
+        because its motion does not change this pose.
         """
         if self.tree is None:
             return np.ones(self.links)
@@ -219,7 +221,7 @@ class Geometry:
         return np.array([float(i in target) - float(i in sensor) for i in range(self.links)])
 
     def carries(self, link: int, other: int) -> bool:
-        """Return whether ``other`` is the link ``link`` itself or one of its descendants; both are link indices."""
+        """Return whether ``other`` is the link ``link`` itself or one of its descendants; both are indices from 0."""
         return link <= other if self.tree is None else link in self.tree.carry(other)
 
     def between(self, sensor: int, target: int) -> Geometry:

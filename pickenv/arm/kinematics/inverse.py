@@ -117,7 +117,7 @@ def inverse(
     attitude_limit = np.inf if position_only else attitude_tolerance
 
     def judge(goals: Pose, q: Array) -> InverseSolution:
-        """Return the joints ``(K, n)`` as an `InverseSolution` for the goals."""
+        """Return joints ``(K, n)`` as an `InverseSolution` for K goals, with the errors that they leave."""
         error = pose_error(forward(geometry, q), goals)
         impossible = task_space.noncompensable_error(geometry, q, error, rank_tolerance)
         parts = error[:, :3], error[:, 3:], impossible[:, 3:], (error - impossible)[:, 3:]
@@ -155,12 +155,15 @@ def inverse(
 
 
 def _cost(solution: InverseSolution) -> Array:
-    """Return the error that joint motion might still remove, metres and radians added up."""
+    """Return for each target the error that joint motion might still remove, metres and radians added up."""
     return solution.position_error + solution.attitude_error - solution.noncompensable_attitude
 
 
 def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> Array:
-    """Return the joints ``(targets * count, n)`` of the ``count`` sample poses (of `POOL`) nearest to each target."""
+    """Return the joints ``(targets * count, n)`` of the ``count`` sample poses (of `POOL`) nearest to each target.
+
+    ``position`` ``(targets, 3)``, m, and ``rotation`` ``(targets, 3, 3)`` are the target poses.
+    """
     joints = halton_joints(geometry, POOL)
     pool = forward(geometry, joints)
     size = max(float(pool.position.std(axis=0).max()), 1e-6)
@@ -175,8 +178,8 @@ def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> A
 def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> Array:
     """Return joints ``(K, n)`` after `DAMPED_STEPS` damped steps from ``q`` towards K goals, within the joint limits.
 
-    A step that does not reduce the error is rejected, and the damping increased. ``parts`` are the components of the
-    pose error to reduce.
+    A step that does not reduce the error is rejected, and the damping increased. ``q`` is ``(K, n)``. ``parts`` selects
+    the components of the pose error to reduce: 0 to 2 position, 3 to 5 attitude.
     """
     damping = np.full(len(q), 1e-3)
     pose, jacobian = task_space.pose_and_jacobian(geometry, q)
@@ -202,8 +205,9 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> 
 def _descend(geometry: Geometry, goals: Pose, q: Array, tolerance: float, max_iterations: int, parts: slice) -> Array:
     """Return joints ``(K, n)`` after Gauss-Newton steps from ``q`` towards K goals, with a pull in the null space.
 
-    Rows with negligible steps do not change any more. ``tolerance`` is the relative singular value below which a
-    direction is cut off; ``parts`` are the components of the pose error to reduce.
+    The pull is towards mid-range. Joints with negligible steps do not change any more. ``tolerance`` is the relative
+    singular value below which a direction of tool motion is not corrected. ``parts`` selects the components of the pose
+    error to reduce: 0 to 2 position, 3 to 5 attitude.
     """
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     q = q.copy()
@@ -228,7 +232,11 @@ def _descend(geometry: Geometry, goals: Pose, q: Array, tolerance: float, max_it
 
 
 def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_tolerance: float) -> Array:
-    """Return one Gauss-Newton step plus the null-space motion along ``pull``, the gradient towards mid-range."""
+    """Return one Gauss-Newton step ``(..., n)`` plus the null-space motion along ``pull``.
+
+    ``error`` is the pose error to remove, ``pull`` the gradient towards mid-range ``(..., n)``, and ``half`` half the
+    range of each joint ``(n,)``.
+    """
     back = task_space.truncated_inverse(jacobian, rank_tolerance)
     step = np.einsum("...ij,...j->...i", back, error)
     null = np.eye(jacobian.shape[-1]) - back @ jacobian
@@ -254,7 +262,7 @@ ITERATIONS = 10
 
 @dataclass(frozen=True, eq=False)
 class Cube:
-    """A cube in the workspace.
+    """A cube in the workspace, which here is all that the tool reaches within the joint limits.
 
     Attributes:
         centre: The cube's centre (3,), m, world frame.
@@ -280,17 +288,17 @@ class Cube:
 
 
 def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: int = 20, free: bool = False) -> Cube:
-    """Find the largest cube in the workspace, with edges parallel to the world axes.
+    """Find the largest cube in the workspace (all that the tool reaches), with edges parallel to the world axes.
 
     Args:
         geometry: The arm.
         rotation: Tool attitude (3, 3), world frame; by default the attitude in the middle of all joint ranges. An
             attitude error that no joint motion removes is ignored.
-        steps: Grid steps along the longest side of the workspace.
+        steps: Number of grid steps along the longest side of the workspace.
         free: Whether to ignore the attitude, for an arm that cannot keep one attitude throughout a cube.
 
     Raises:
-        InputError: If the arm does not reach the smallest cube of the grid.
+        InputError: If the arm does not reach all corners of any cube of one grid step.
     """
     if rotation is None:
         rotation = forward(geometry, (geometry.lower + geometry.upper) / 2.0).rotation
@@ -337,7 +345,10 @@ def halton_joints(geometry: Geometry, count: int) -> Array:
 
 
 def _largest_filled(filled: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:
-    """Return the lower corner's indices and the edge, in grid steps, of the largest cube of grid points all filled."""
+    """Return the lower corner's indices (from 0) and the edge, in grid steps, of the largest cube of filled points.
+
+    ``filled`` says for each point of a three-dimensional grid whether it is filled (reached).
+    """
     size, grown = -1, filled
     while grown.any():
         size, corners = size + 1, grown  # the points that are the lower corner of a filled cube of this size

@@ -46,8 +46,8 @@ class Operation(NamedTuple):
     Attributes:
         name: Name of the operation: "add", "sqrt", "input", "constant", ...
         kind: Type of its result, such as `DOUBLE`.
-        operands: Indices in the trace of the operations whose results are its operands.
-        detail: Array name and row of an input; value of a constant.
+        operands: Indices in the trace, from 0, of the operations whose results are its operands.
+        detail: Array name and row (from 0) of an input; value of a constant.
     """
 
     name: str
@@ -79,10 +79,10 @@ class Trace:
         """Record an operation, unless the trace has it already, and return its result.
 
         Args:
-            name: Name of the operation.
-            kind: Type of its result.
-            operands: Indices of the operations whose results are its operands.
-            detail: Array name and row of an input, or value of a constant.
+            name: Name of the operation: "add", "sqrt", "input", ...
+            kind: Type of its result, such as `DOUBLE`.
+            operands: Indices in the trace, from 0, of the operations whose results are its operands.
+            detail: Array name and row (from 0) of an input, or value of a constant.
         """
         if name in COMMUTATIVE and operands[0] > operands[1]:
             operands = operands[::-1]
@@ -97,18 +97,20 @@ class Trace:
         return [self.note("input", kind, detail=(array, row)) for row in range(rows)]
 
     def outputs(self, array: str, rows: Scalars, kind: str = DOUBLE, first: int = 0) -> Goals:
-        """Return the goals that write numbers of type ``kind`` to the rows of the output array called ``array``.
+        """Return the goals (`Goals`) that write numbers to the rows of the output array called ``array``.
 
         Args:
             array: Name of the output array.
-            rows: The numbers, one per row.
-            kind: Their type.
-            first: Row of the first number.
+            rows: The traced numbers, one per row.
+            kind: Type of the numbers, such as `DOUBLE`.
+            first: Row, from 0, of the first number.
         """
         return [(self.of(value, kind), array, row) for row, value in enumerate(rows, first)]
 
     def of(self, value: Scalar, kind: str) -> int:
-        """Return the index of the operation whose result is ``value``; a plain number becomes a constant of this type.
+        """Return the index, from 0, of the operation whose result is ``value``.
+
+        A plain number becomes a constant of the type ``kind``, such as `DOUBLE`.
 
         Raises:
             Untraceable: If ``value`` is neither a traced nor a plain number.
@@ -129,7 +131,11 @@ class Trace:
 
 
 def _binary(name: str, kind: str | None = None, swapped: bool = False) -> Callable[[Traced, Any], Any]:
-    """Return an operator method for `Traced`; ``kind`` is the result's type if it differs from the operands' type."""
+    """Return an operator method for `Traced`, which records the operation ``name``, such as "add".
+
+    ``kind`` is the result's type if it differs from the operands' type. If ``swapped``, the operands change places, as
+    ``__radd__`` needs.
+    """
 
     def operator(self: Traced, other: Any) -> Any:
         if not isinstance(other, Traced | bool | int | float | np.generic):
@@ -206,14 +212,20 @@ def cosine(m: Any, angle: Scalar) -> Scalar:
 
 
 def _reduced(m: Any, angle: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the sign of sine and cosine due to an angle's whole half turns, and the angle without these, rad."""
+    """Return the sign of sine and cosine due to an angle's whole half turns, and the angle without the half turns, rad.
+
+    ``m`` is the namespace, ``numpy`` or `SYMBOLS`.
+    """
     halves = m.round(angle * (1.0 / math.pi))
     odd = halves - 2.0 * m.round(0.5 * halves)
     return 1.0 - 2.0 * (odd * odd), (angle - PI * halves) - PI_RESIDUE * halves
 
 
 def _summed(square: Scalar, first: int) -> Scalar:
-    """Return the sum of (-square)^k / (2 k + first)! for k from 0 to `TERMS` - 1."""
+    """Return the sum of (-square)^k / (2 k + first)! for k from 0 to `TERMS` - 1.
+
+    With an angle's square it is the cosine for ``first`` = 0, and the sine divided by the angle for ``first`` = 1.
+    """
     total = square * (1.0 / math.factorial(2 * TERMS - 2 + first))
     for k in reversed(range(TERMS - 1)):
         total = 1.0 / math.factorial(2 * k + first) - total
@@ -222,7 +234,10 @@ def _summed(square: Scalar, first: int) -> Scalar:
 
 
 def _function(name: str, plain: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of `Traced` and plain numbers; for plain numbers alone it calls NumPy's function ``plain``."""
+    """Return a function of `Traced` and plain numbers, which records the operation ``name``, such as "sqrt".
+
+    For plain numbers alone it calls NumPy's function ``plain``.
+    """
 
     def function(*values: Scalar) -> Scalar:
         if (trace := _trace_of(values)) is None:
@@ -298,11 +313,14 @@ FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
 class Compiled:
-    """A trace compiled to loops over the poses: one before each call, for its arguments, and one for the outputs.
+    """A trace compiled to loops over the poses, the last of which writes the outputs.
+
+    Before each call of a function of whole arrays (`Trace.calls`), a loop computes the function's arguments.
 
     Args:
         trace: The operations.
-        goals: The outputs. All are written in the last loop, because earlier loops still read the inputs.
+        goals: The outputs, from `Trace.outputs`. All are written in the last loop, because earlier loops still read the
+            inputs.
         count: Expected number of poses, which decides whether the code is optimised.
     """
 
@@ -383,7 +401,10 @@ DECLARED = tuple(_declared(name, lanes) for name in INTRINSICS.values() for lane
 
 
 def _loop(operations: Sequence[Operation], name: str, goals: Goals, arrays: Sequence[str]) -> str:
-    """Return LLVM's code of a function with two loops: over groups of `LANES` poses, then over the remaining poses."""
+    """Return LLVM's code of a function with two loops: over groups of `LANES` poses, then over the remaining poses.
+
+    ``name`` is the function's name. ``goals`` are the outputs, and ``arrays`` the names of all arrays, in order.
+    """
     wide, narrow = ("\n".join(_Body(operations, goals, arrays, lanes).lines) for lanes in (LANES, 1))
     return f"""
 define void @{name}(ptr noalias %bases, i64 %count) {{
@@ -468,7 +489,10 @@ class _Body:
         return name
 
     def _place(self, array: str, row: int, kind: str) -> tuple[str, str]:
-        """Return the pointer to the entries of a row for this pass of the loop, and their type in memory."""
+        """Return the pointer to the entries of an array's row for this pass of the loop, and their type in memory.
+
+        ``row`` counts from 0; ``kind`` is the type of the numbers.
+        """
         if array not in self._bases:
             slot = self._new(f"getelementptr ptr, ptr %bases, i64 {self._arrays.index(array)}")
             self._bases[array] = self._new(f"load ptr, ptr {slot}")

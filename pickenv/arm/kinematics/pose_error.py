@@ -46,8 +46,8 @@ def rotation_between(m: ModuleType, reference: Scalars, actual: Scalars) -> tupl
 
     Args:
         m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
-        reference: A `Frame`, or its first nine components.
-        actual: The `Frame` that is compared with it, or its first nine components.
+        reference: A `Frame`, or its first nine components (its axes), in world axes.
+        actual: The `Frame` that is compared with ``reference``, or its first nine components.
     """
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
@@ -73,7 +73,10 @@ def rotation_between(m: ModuleType, reference: Scalars, actual: Scalars) -> tupl
 
 
 def _turn(reference: Scalars, actual: Scalars) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """Return sin(angle) times the axis of R = R_actual R_reference^T, and the diagonal of R, three components each."""
+    """Return sin(angle) times the axis of R = R_actual R_reference^T, and the diagonal of R, three components each.
+
+    ``reference`` and ``actual`` are frames, or their first nine components.
+    """
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
     # The first is half the sum of the cross products of corresponding axes.
@@ -87,7 +90,10 @@ def _turn(reference: Scalars, actual: Scalars) -> tuple[tuple[Scalar, ...], tupl
 
 
 def small_rotation(m: ModuleType, reference: Scalars, actual: Scalars) -> tuple[Scalar, ...]:
-    """Return the same vector as `rotation_between`, but faster up to six degrees, by a series of the arc sine."""
+    """Return the same vector as `rotation_between`, from the same arguments, but faster for angles up to six degrees.
+
+    It is computed by a series of the arc sine.
+    """
     sines, (xx, yy, zz) = _turn(reference, actual)
     sx, sy, sz = sines
     square = sx * sx + sy * sy + sz * sz
@@ -110,7 +116,7 @@ def frame_error(
 
     Args:
         m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
-        reference: The frame that is compared with.
+        reference: The frame from which the error is measured.
         actual: The frame whose error is computed.
         rotation: The function that computes the rotation vector: `rotation_between` or `small_rotation`.
 

@@ -40,9 +40,9 @@ def link_column(kind: str, before: Scalars, after: Scalars, tool: Scalars, twist
 
     Args:
         kind: Name of the parameter, from `LINK_PARAMETERS`.
-        before: Frame of the parent link, twelve components; not used for theta and d.
-        after: Frame of the link, twelve components; only used for theta and d.
-        tool: Origin of the tool, three components.
+        before: Frame of the parent link, twelve components, world axes; not used for theta and d.
+        after: Frame of the link, twelve components, world axes; only used for theta and d.
+        tool: Origin of the tool, three components, world axes, m.
         twist: Cosine and sine of the link's alpha, and its a; only used for beta.
     """
     x, y, z, px, py, pz = after[6:] if kind in ("theta", "d") else (*before[:3], *before[9:])
@@ -157,9 +157,9 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
 
 
 def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple[int, ...]]:
-    """Return the frames of base and links, the frame of the tool, and the batch shape of the poses.
+    """Return the frames of base and links, the frame of the tool, and the batch shape of the joints ``(..., n)``.
 
-    The components are floats if there is only one pose.
+    Frames are in world axes. Their components are floats if ``q`` is a single pose.
     """
     joints = split_joints(geometry.joints, q)
     shape = np.broadcast_shapes(joints[0].shape, geometry.alpha.shape[:-1])
@@ -181,7 +181,7 @@ POSITION_FIRST = 0.05
 
 
 def attitude_weight(joints: int) -> float:
-    """Return the weight of a radian, in m, in the tool pose of an arm with this number of joints."""
+    """Return the length, m, that counts as much as a radian in the tool pose of an arm with this number of joints."""
     return 1.0 if joints >= 6 else POSITION_FIRST
 
 
@@ -207,7 +207,7 @@ def task_directions(
         geometry: The arm.
         q: Joints ``(..., n)``, rad or m.
         tolerance: Share of the largest singular value below which joint motion cannot move the tool in a direction.
-        weight: Weight of a radian, in m.
+        weight: Length, m, that counts as much as a radian.
 
     Returns:
         Orthonormal columns ``(..., 6, 6)`` by falling singular value (position in m, then the rotation vector in rad
@@ -231,7 +231,7 @@ def noncompensable_error(
         q: Joints ``(..., n)``, rad or m.
         error: Pose errors ``(..., 6)``, m and rad, world axes.
         tolerance: Share of the largest singular value below which joint motion cannot move the tool in a direction.
-        weight: Weight of a radian, in m.
+        weight: Length, m, that counts as much as a radian.
     """
     weights = np.repeat([1.0, weight], 3)
     u, rank = task_directions(geometry, q, tolerance, weight)

@@ -99,7 +99,7 @@ def in_components(m: ModuleType, joints: Array, place: Place | None = None) -> l
     Args:
         m: ``math`` for floats; otherwise the components are arrays.
         joints: Joints ``(..., n)``, rad or m; ``(n,)`` for ``math``.
-        place: Function that converts each array to another type, for example to a tensor; None for arrays.
+        place: Function that converts each component to another type, for example to a tensor; None for arrays.
     """
     if m is math:
         return list(joints.tolist())
@@ -126,8 +126,8 @@ def moved(
         target: Joints at the end ``(..., n)``, rad or m.
         pace: Speed, control period and waiting time.
         place: Function that converts arrays to the type of ``m``, such as tensors; None for arrays and floats.
-        normal: Standard normal numbers that scatter the friction of this stop ``(2, n, ...)``: forward, then backward.
-            None for the mean friction, with which an arm repeats exactly.
+        normal: Standard normal numbers that scatter the friction of this stop ``(2, n, ...)``: for forward motion of
+            the n joints, then for backward motion. None for the mean friction, with which an arm repeats exactly.
     """
     band = plant.effect("stick_band")
     if normal is not None and band is not None and band.scatter:
@@ -156,11 +156,11 @@ class Instrument:
         name: Name of the instrument.
         stand: Position of the instrument in the arm's world frame, m.
         source: Source of the numbers.
-        dwell: Waiting time between arrival and reading, s. None for the settled pose (`Plant.tool_frame`): the arm is
-            warm, the ground is at rest, and friction and backlash are in the middle of their bands.
+        dwell: Waiting time between arrival and reading, s. None to read settled poses (`Plant.tool_frame`) instead of
+            simulating moves: the arm is warm, the ground at rest, friction and backlash in the middle of their bands.
         warm_up: Time for which the arm rests in the middle of the joints' ranges before the first move, s.
         period: Control period of the moves from pose to pose, s. Moves are at full speed.
-        noise: The instrument's errors. None for those of the effect "measurement_noise" of the plant (the
+        noise: The instrument's errors. None for the errors in the effect "measurement_noise" of the plant (the
             simulated true arm).
     """
 
@@ -173,7 +173,7 @@ class Instrument:
     noise: MeasurementNoise | None = None
 
     def noise_on(self, plant: Plant) -> MeasurementNoise | None:
-        """Return the instrument's own errors, else those of the plant's effect "measurement_noise", else None."""
+        """Return the instrument's ``noise``; if it is None, the plant's effect "measurement_noise", or None."""
         noise: MeasurementNoise | None = plant.effect("measurement_noise") if self.noise is None else self.noise
         return noise
 
@@ -186,8 +186,8 @@ class NormalDraws(NamedTuple):
     Attributes:
         reading: Numbers for the noise of each reading ``(P, 6)``: three of position, three of attitude.
         mounting: Numbers for the centring error of the target, which is mounted once ``(3,)``.
-        stops: Numbers for the friction of each stop ``(P, 2, n)``: forward and backward of each joint. Zeros if the
-            friction does not scatter.
+        stops: Numbers for the friction of each stop ``(P, 2, n)``: for forward motion of the n joints, then for
+            backward motion. Zeros if the friction does not scatter.
     """
 
     reading: Array
@@ -195,7 +195,7 @@ class NormalDraws(NamedTuple):
     stops: Array
 
     def first(self, poses: int) -> NormalDraws:
-        """Return the draws of the first ``poses`` poses, with the same mounting."""
+        """Return the draws for the first ``poses`` poses; the numbers for the target's mounting stay the same."""
         return NormalDraws(self.reading[:poses], self.mounting, self.stops[:poses])
 
 
@@ -214,7 +214,8 @@ def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDr
     Args:
         plant: The simulated true arm.
         poses: Number of poses P.
-        rng: Random generator of the numbers for readings. A child spawned from it gives those for mounting and stops.
+        rng: Random generator of the numbers for readings. A child spawned from it gives the numbers for mounting and
+            stops.
     """
     (child,) = rng.spawn(1)
     band, shape = plant.effect("stick_band"), (poses, 2, plant.geometry.joints)
@@ -296,7 +297,7 @@ GEOMETRY = "geometry"
 
 
 def causes_of(plant: Plant) -> tuple[str, ...]:
-    """Return the names of the causes of a true arm's error: "geometry", and all effects except those at `BESIDE`."""
+    """Return the names of the causes of a true arm's error: "geometry", and all effects that move the arm."""
     return (GEOMETRY, *(name for name in plant.names if plant.effect(name).place < BESIDE))
 
 
@@ -316,8 +317,8 @@ def effect_shares(
 
     Args:
         plant: The simulated true arm, a single one.
-        joints: Joint commands ``(P, n)`` to reach, rad or m. Each is approached from the one before it, the first
-            from the last.
+        joints: Joint commands ``(P, n)`` to reach, rad or m. The arm moves to each from the previous command, and to
+            the first from the last.
         running_time: Time since the machine was switched on, s.
         pace: Speed, control period and waiting time; by default full speed and 0.5 s of waiting.
 

@@ -47,16 +47,16 @@ NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / mat
 
 @dataclass(frozen=True)
 class Iso9283Settings:
-    """Settings of the test; the default values are those of the standard where it gives them.
+    """Settings of the test by ISO 9283; default values are those of the standard where the standard gives a value.
 
     Attributes:
         cycles: Number of measurements per pose.
         pace: Speed, control period and waiting time before each measurement.
         warm_up: Time for which the arm is on before the tests of the warm arm, s.
-        approach: Length of the approaches from three directions for vAP, m.
+        approach: Length of the approaches to a pose from three directions, for vAP, m.
         drift_time: Duration of the drift test, s.
-        drift_interval: Time between the mean poses of the drift test, s.
-        drift_cycles: Number of measurements per mean pose of the drift test.
+        drift_interval: Time between two measurements of the mean pose in the drift test, s.
+        drift_cycles: Number of cycles over which each mean pose of the drift test is taken.
 
     Raises:
         InputError: If a number is out of range.
@@ -98,7 +98,7 @@ class Iso9283Result:
         plant: Name of the plant, that is the simulated true arm.
         cube: The cube that contains the test poses.
         settings: Settings of the test.
-        instrument_mm: RP_l that the tracker's noise alone causes at the mean range, mm.
+        instrument_mm: Repeatability RP_l that the laser tracker's noise alone causes at the mean measuring range, mm.
         raw: Results with joint commands for the nominal arm.
         calibrated: Results with compensated joint commands, or None.
     """
@@ -200,7 +200,7 @@ def iso9283(
 
 
 def _largest_cube(geometry: Geometry) -> Cube:
-    """Return the largest cube in the workspace.
+    """Return the largest cube that the tool reaches.
 
     If an arm of fewer than six joints cannot keep one attitude throughout a cube, any attitudes are allowed.
     """
@@ -222,8 +222,8 @@ def _joints_for(plant: Plant, poses: Pose, start: Array | None, free: bool) -> A
 def _approaches(plant: Plant, poses: Pose, targets: Array, length: float, free: bool) -> Array:
     """Return the joints ``(3 poses, 3 directions, n)`` from which P1, P2 and P4 are approached along x, y and z.
 
-    The starting positions are ``length`` m from the poses, on the side of the cube's centre. For P1, which is the
-    centre, they are at +x, +y and +z.
+    The tool then starts ``length`` m from the pose, on the side of the cube's centre. For P1, which is the centre, it
+    starts at +x, +y and +z. ``targets`` are the joints at ``poses`` P1 to P5; ``free`` ignores the attitude.
     """
     some = list(VARIATION_POSES)
     inwards = np.where(poses.position[some] - poses.position[0] > 0, -1.0, 1.0)
@@ -245,12 +245,16 @@ def _performance(
     """Run one controller through all parts of the test, and return the results.
 
     ``commands`` ``(5, n)`` lead to P1 to P5, ``approaches`` ``(3, 3, n)`` to the starts of the approaches, rad or m.
+    ``goals`` are the commanded poses P1 to P5, in world axes.
     """
     cycles, pace, home, away = settings.cycles, settings.pace, commands[0], commands[1]
     mounting, noise = rng.spawn(1)[0].normal(size=3).tolist(), instrument.noise_on(plant)
 
     def measured(state: PlantState, stops: Sequence[tuple[Array, int | None]]) -> tuple[PlantState, Array]:
-        """Move from P1 through stops; return the state, and errors ``(..., 6)``, m and rad, at stops with a pose."""
+        """Move from P1 through stops; return the state, and errors ``(..., 6)``, m and rad, at some of the stops.
+
+        A stop is a joint command and the index, from 0, of the pose to measure there; None to measure nothing.
+        """
         errors, start = [], home
         for target, i in stops:
             state, frame = moved(plant, math, state, start, target, pace, normal=rng.normal(size=(2, len(target))))
@@ -345,8 +349,8 @@ def pose_drift(errors: Array) -> dict[str, Any] | None:
 
     Returns:
         None with fewer than `FEWEST_CYCLES` cycles per third. Else a mapping. ``cycles``: number of cycles per third.
-        ``accuracy_change_mm``: dAP_P, the change of AP_P. ``wander_mm``: distance between the two mean positions; the
-        lower end of its interval is zero if there is no significant drift. ``repeatability_change_mm``: dRP, the change
+        ``accuracy_change_mm``: dAP_P, the change of AP_P. ``wander_mm``: distance between the mean positions of the two
+        thirds; its interval begins at zero without significant drift. ``repeatability_change_mm``: dRP, the change
         of RP_l; it has no interval, because 10 to 30 distances are too few for a reliable one. The key of an interval
         has ``ci95`` before the unit.
     """
@@ -384,9 +388,9 @@ def _size_of_mean(vectors: Array) -> float:
 
 
 def _interval_of_scatter(values: Array, scatter: Callable[[Array], float]) -> Ends | None:
-    """Return the 95 % interval of a measure of scatter, by its logarithm.
+    """Return the 95 % interval of a measure of the scatter of values, by the measure's logarithm.
 
-    Return None with fewer than `CYCLES` values, or if the values hardly differ.
+    Return None with fewer than `CYCLES` values, or if the values hardly differ. ``scatter`` computes the measure.
     """
 
     def logarithm(some: Array) -> float:

@@ -62,8 +62,8 @@ class Layout:
     Two coefficients (sine, cosine) for each periodic error come first, then one for each gravity term.
 
     Attributes:
-        harmonics: Joint index and order (1/rad or 1/m) of each periodic error: the error is periodic in order times
-            the joint's displacement.
+        harmonics: Joint index (from 0) and order (1/rad or 1/m) of each periodic error: the error is periodic in order
+            times the joint's displacement.
         moments: The gravity terms, as in `pickenv.arm.effects.drives.GravityYield`.
         up: Direction against gravity in the axes of frame 0.
     """
@@ -74,7 +74,7 @@ class Layout:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Number of coefficients of periodic errors, and number of coefficients of gravity terms."""
+        """Two numbers: how many coefficients belong to periodic errors, and how many to gravity terms."""
         return 2 * len(self.harmonics), len(self.moments)
 
 
@@ -90,9 +90,10 @@ class Posterior:
         aligned: Base and tool of the nominal arm, aligned to the instrument's frame.
         layout: The meaning of the coefficients.
         coefficients: The identified coefficients ``(k,)``.
-        factor: Change of the parameters per standard normal number ``(P, p)``.
-        unseen: Indices of the d parameters that the data do not identify ``(d,)``.
-        traces: Change of all parameters per unit of each unidentified one ``(P, d)`` that keeps the measured poses.
+        factor: Change of the parameters per standard normal number ``(P, p)``; a sample takes p numbers.
+        unseen: Indices, from 0, of the d parameters that the data do not identify ``(d,)``.
+        traces: Change of all P parameters per unit of each of these d parameters ``(P, d)``, such that the tool keeps
+            the measured poses.
         field: The residual field with its mean weights, or None.
         field_factor: Change of the weights of each output's K smooth waves, cosines then sines, per standard normal
             number ``(O, 2 K, 2 K)``.
@@ -136,8 +137,8 @@ class Plant:
         effects: The effects, in the order in which they act, from the motors to the tool.
         posterior: Posterior distribution of the calibration from which the plant was made, else None.
         unmeasured: Groups of the effects' constants that were never measured.
-        ready: A geometry and its prepared chain, which `plant_batch.plants_on` gives; None to compute the chain. It is
-            ignored if its geometry is not the plant's.
+        ready: A geometry and its `Chain`, which `plant_batch.plants_on` gives; None to compute the chain. The chain is
+            ignored if this geometry is not the plant's.
 
     Raises:
         ValueError: If two effects have one name.
@@ -196,7 +197,11 @@ class Plant:
 
     @cached_property
     def _steps(self) -> tuple[list[_Step], list[_Step], list[_Step]]:
-        """The effects that move the arm, in three lists: before the last one with a memory, that one, and after it."""
+        """The effects that move the arm, in three lists about the last effect that has a memory.
+
+        The first list has the effects that act earlier than this effect, the second the effect alone, the third those
+        that act later. Without a memory, all effects are in the third list.
+        """
         on_arm = [effect for effect in self.effects if effect.place < BESIDE]
         acting = [effect for effect in on_arm if self.load is not None or not effect.needs_load]
         steps: list[_Step] = [
@@ -207,9 +212,9 @@ class Plant:
 
     @cached_property
     def _motors(self) -> list[tuple[Effect, int]]:
-        """The effects on the motors, the last of `effects` first, each with the index of its memory.
+        """The effects on the motors, in the reverse of the order of `effects`, each with the index of its memory.
 
-        So encoder counts end the list. Indices count the effects on motors that remember something, from 0.
+        So the encoder counts, the first of `effects`, end the list. An index counts, from 0, the effects with a memory.
         """
         motors = [effect for effect in self.effects if effect.place < DRIVE]
         return [(effect, sum(before.remembers for before in motors[:i])) for i, effect in enumerate(motors)][::-1]
@@ -270,7 +275,8 @@ class Plant:
     ) -> tuple[PlantState, Passage]:
         """Return the effects' new memories, and the command's passage just before the last effect with a memory acts.
 
-        ``how`` is the index in `_Step` of the method that makes the memories: BEGIN, REST or CARRY.
+        ``how`` is the index of the method that makes the memories: BEGIN, REST or CARRY. With CARRY, the memories are
+        those ``dt`` seconds after ``state``.
         """
         at = Passage(m, self.chain, self.load, q)
         memories: list[Components] = []
@@ -286,7 +292,10 @@ class Plant:
         return tuple(memories), at
 
     def _ended(self, state: PlantState, at: Passage) -> Frame:
-        """Return the true tool frame after the remaining effects have acted on the passage from `_passage`."""
+        """Return the true tool frame, in world axes, after the last effects have acted on the passage from `_passage`.
+
+        These are the last effect with a memory, which is in ``state``, and all later effects.
+        """
         _, last, after = self._steps
         for _, act in last:
             act(at, state[-1])

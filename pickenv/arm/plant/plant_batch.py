@@ -22,7 +22,7 @@ def plant_count(plants: Plant) -> int | None:
 
 
 def plant_at(plants: Plant, i: int) -> Plant:
-    """Return the plant of arm ``i`` of a batch, with plain numbers.
+    """Return the plant of arm ``i`` (from 0) of a batch, with plain numbers.
 
     Raises:
         IndexError: If there is no such arm.
@@ -42,8 +42,8 @@ def plant_at(plants: Plant, i: int) -> Plant:
 def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
     """Return a batch of arms with a function applied to each of its arrays, for example to move it to a GPU.
 
-    The prepared chain's sines and cosines are converted too and not computed anew. Therefore an arm has the same
-    numbers, bit by bit, in a batch of any size. A single arm is returned unchanged.
+    The sines and cosines of the link parameters are converted too, instead of being computed anew. Therefore an arm has
+    the same numbers, bit by bit, in a batch of any size. A single arm is returned unchanged.
 
     Args:
         plants: A batch of arms.
@@ -72,7 +72,7 @@ def arrays_of(plants: Plant) -> list[Any]:
 def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry) -> Geometry:
     """Return the geometry with a function applied to each of its link parameters.
 
-    If the bases or tools of a batch of arms differ, the function is applied to these too.
+    If the bases or tools of a batch of arms differ, the function is applied to bases or tools too.
 
     Args:
         geometry: The geometry.

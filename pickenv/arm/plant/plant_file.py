@@ -274,7 +274,7 @@ def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
     Args:
         arm: The arm.
         sizes: Sizes of the effects.
-        final_rise: Temperature rise of the warm arm, K.
+        final_rise: Temperature rise of the warm arm above that of the measured geometry, K.
     """
     one_link_per_joint(arm)
     slides, load = np.array(arm.nominal.prismatic), arm.load or rods(arm)
@@ -306,7 +306,7 @@ def rods(arm: Arm) -> Load:
 
 
 def _largest_torques(arm: Arm, load: Load) -> Array:
-    """Return the largest magnitude of the gravity torque or force on each joint ``(n,)``, N*m or N."""
+    """Return the largest magnitude of the gravity torque or force on each joint ``(n,)``, N*m or N, over many poses."""
     chain = chain_of(arm.nominal)
     torques = gravity_torques(chain, frames(np, chain, list(halton_joints(arm.nominal, SAMPLES).T)), load)
     return np.array([np.abs(torque).max() for torque in torques])
@@ -324,7 +324,7 @@ def _split(name: str | Path) -> tuple[str, str]:
 
 
 def _design(name: str, tolerances: Tolerances) -> Plant:
-    """Return the plant ``name``, or else a plant of the arm ``name`` with effects sized by the tolerance class."""
+    """Return the plant called ``name``; if ``name`` is an arm, a plant with effects sized by the tolerance class."""
     file = name.partition("#")[0]
     plant_file = file.endswith(".toml") and is_file(file) and "arm" in toml_tables.toml_of(file)[0]
     if plant_file or file in shipped_plants() or name.endswith(".npz"):

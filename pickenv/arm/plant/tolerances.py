@@ -83,7 +83,7 @@ class Tolerances:
     Attributes:
         name: Name of the class.
         it_grade: ISO 286-1 grade of the lengths a and d. Deviations are within plus or minus half the tolerance.
-        least_length: Shorter lengths have the tolerance of this length, m, because a seat has a tolerance at a = 0 too.
+        least_length: Length, m, whose tolerance shorter lengths have too: even at a = 0, a part's seat has a tolerance.
         angle: Half-width of the tolerance zone of the assembly angles alpha and theta, rad.
         distribution: ``uniform`` over the tolerance zone, or ``normal`` with the zone's edges at three standard
             deviations.
@@ -129,8 +129,9 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
     """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
 
     Link parameters are drawn about the nominal geometry, effect sizes about those of ``plant``. Arm i has its own
-    random stream, child i of ``rng``. The arm therefore does not depend on ``count``, nor on which effects are on,
-    except for effects with random numbers of their own: these take the last numbers of the stream.
+    random stream, child i (from 0) of ``rng``. The arm therefore does not depend on ``count``. Its numbers do not
+    depend on which effects are on, either; only effects with random numbers of their own take numbers at the end of the
+    stream.
 
     If the plant was made from a calibration, the arms are drawn from the calibration's posterior distribution. The
     parameters that its data do not identify are drawn within their tolerances about the identified values.
@@ -199,10 +200,10 @@ def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
 
 
 def random_columns(plant: Plant) -> dict[str, range]:
-    """Return, by the name of each random quantity, its columns in the uniform random numbers of `plants_from`.
+    """Return, by the name of each random quantity, its columns (from 0) in the uniform random numbers of `plants_from`.
 
-    The columns of most quantities do not depend on the plant's effects. Quantities whose number of columns depends on
-    the effects come last.
+    Most quantities have the same columns whatever effects the plant has. Quantities whose number of columns depends on
+    the effects have the last columns.
     """
     n, drives, waves = plant.arm.nominal.joints, plant.effect("transmission_error"), plant.effect("drive_harmonics")
     terms = len(drives.harmonics) if drives is not None else 0
@@ -222,7 +223,8 @@ def random_columns(plant: Plant) -> dict[str, range]:
 def _deviation(tolerances: Tolerances, even: Array) -> Array:
     """Return deviations as shares of the half-width of the tolerance zone, from uniform random numbers 0 to 1.
 
-    They are from -1 to 1 for a uniform distribution; a normal one has the zone's edges at three standard deviations.
+    Deviations are from -1 to 1 for a uniform distribution. For a normal distribution, the zone's edges -1 and 1 are at
+    three standard deviations.
     """
     return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else standard_normal_of(even) / 3.0
 

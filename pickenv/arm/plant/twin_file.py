@@ -77,7 +77,10 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
 
 
 def _weights(posterior: Posterior, field: ResidualField, rng: np.random.Generator) -> Array:
-    """Return a random deviation of the waves' weights ``(O, 2, K)`` from their mean."""
+    """Return a random deviation of the weights of the field's waves ``(O, 2, K)`` from their mean, m and rad.
+
+    There are O outputs with K waves each; the weights are those of cosines, then of sines.
+    """
     outputs, count, smooth = field.features.outputs, field.features.count, posterior.field_factor.shape[-1] // 2
     normal = rng.standard_normal((outputs, 2 * smooth))
     learnt = np.einsum("okl,ol->ok", posterior.field_factor, normal).reshape(outputs, 2, smooth)
@@ -104,14 +107,17 @@ def _carried(arm: Arm, posterior: Posterior, geometries: Sequence[Geometry]) -> 
 
 
 def _together(poses: Sequence[Pose]) -> Pose:
-    """Return the single pose if all poses are equal, else one `Pose` of arrays with an entry per arm."""
+    """Return the pose itself if all poses are equal, else one `Pose` of arrays with an entry per pose."""
     position, rotation = (np.stack(parts) for parts in zip(*poses, strict=True))
     alike = np.ptp(position, axis=0).max() == 0.0 and np.ptp(rotation, axis=0).max() == 0.0
     return poses[0] if alike else Pose(position, rotation)
 
 
 def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect]:
-    """Return the effects that the coefficients of one arm ``(k,)`` or of many arms ``(N, k)`` describe."""
+    """Return the effects that a calibration's coefficients, of one arm ``(k,)`` or of many arms ``(N, k)``, describe.
+
+    `Layout` gives the meaning of the coefficients.
+    """
     layout, columns = posterior.layout, [_scalar(column) for column in np.moveaxis(coefficients, -1, 0)]
     waves, moments = columns[: layout.sizes[0]], columns[layout.sizes[0] :]
     effects: list[Effect] = []
@@ -128,7 +134,7 @@ def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect
 
 
 def _scalar(value: Any) -> Any:
-    """Return an array of many arms unchanged, or a single number as a float."""
+    """Return an array with an entry per arm unchanged, and an array of a single number as a float."""
     return value if np.ndim(value) else float(value)
 
 
