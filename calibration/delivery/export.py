@@ -183,6 +183,7 @@ def _robot_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
 
 
 def _kind(robot_file: Path | None, out: Path) -> str:
+    """Return the exporter's name by the ending of the robot's own file or, without one, of the file to write."""
     endings, path = (BY_ENDING, out) if robot_file is None else (BY_OWN_ENDING, robot_file)
     if path.suffix == ".xacro":
         words = "is a xacro, which takes its numbers from elsewhere"

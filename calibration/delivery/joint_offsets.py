@@ -142,7 +142,10 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
 
 
 def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: NDArray[np.int64]) -> Array:
-    """Compute standard deviations of the offsets (n,), rad or m, from the parameters' covariance; NaN if unknown."""
+    """Compute standard deviations of the offsets (n,), rad or m, from the parameters' covariance; NaN if unknown.
+
+    The other arguments are those of `_way`.
+    """
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(calibration.arm.joints, np.nan)
@@ -279,7 +282,11 @@ def offset_table(calibration: Calibration, order: document.Order) -> document.Do
 def _table(
     rows: list[dict[str, Any]], out: Path, form: str, calibration: Calibration, notes: tuple[str, ...]
 ) -> document.Document:
-    """Make a document of rows: CSV below comment lines (None is an empty cell), or JSON if ``out`` ends in .json."""
+    """Make a document of rows: CSV below comment lines (None is an empty cell), or JSON if ``out`` ends in .json.
+
+    Each row is a dictionary with the same columns. ``form`` is the format's name and version, which stands in the
+    document's head beside the origin of the calibration and ``notes``.
+    """
     words = (*document.provenance(calibration), *notes)
     if out.suffix.lower() == ".json":
         content = {"format": form, "origin": list(words), "rows": rows}
@@ -385,7 +392,11 @@ def _parameters(geometry: Geometry) -> dict[str, float]:
 
 
 def _table_rows(geometry: Geometry) -> Iterator[tuple[str, int, str, str]]:
-    """Yield table, row number, joint and parameter of each row; parameters are named as in the modified table."""
+    """Yield the table's name, row number, joint and parameter of each row of the modified and the standard table.
+
+    Rows of links are numbered from 1; row 0 of the standard table is the base. Base and tool follow as own tables.
+    Parameters are named as in the modified table.
+    """
     for table, shift in (("modified", 0), ("standard", 1)):
         for i, joint in enumerate(geometry.link_names):
             for kind in LINK_PARAMETERS:
