@@ -55,8 +55,8 @@ def solve(
     """Fit a model's parameters to rows and priors.
 
     Args:
-        model: The parameters with their priors; the solution is averaged over those scales of prior widths that the
-            model does not state.
+        model: The parameters with their priors. The solution is averaged over the scales, that is factors on the prior
+            widths of a group of parameters, which the model does not state.
         data: The rows. If they involve no known length, priors of lengths are not rescaled, because the smallest arm
             would fit best.
         noise: The scatter of the rows; estimated from them when left out.
@@ -156,7 +156,10 @@ def averaged_over_scales(
         std = np.maximum(np.sqrt(weight @ (logs - mean) ** 2), NARROWEST * std)
 
     def averaged(common: float) -> Identification:
-        """Return the solution at the mean over all scales, with its covariance."""
+        """Return the solution at the posterior's mean over all scales, with its covariance.
+
+        ``common`` is the factor on variances of rows that carry less information than independent ones.
+        """
         some = weight > LIGHT * weight.max()
         share, scaled, root = weight[some] / weight[some].sum(), factor[some], np.linalg.inv(lower[some])
         inverse = root.transpose(0, 2, 1) @ root
@@ -194,7 +197,7 @@ def leverages(columns: Array) -> Array:
 
 
 def _settled(before: tuple[RowNoise, dict[str, float]], after: tuple[RowNoise, dict[str, float]]) -> bool:
-    """Return whether noise and scales have both changed by no more than `SETTLED`."""
+    """Return whether noise and scales (by group) changed by no more than `SETTLED` from ``before`` to ``after``."""
     (old, old_scales), (new, new_scales) = before, after
     values = [np.log(new.scatter / old.scatter), np.log(new.channels / old.channels)]
     values += [np.log([new_scales[name] / old_scales.get(name, 1.0) for name in new_scales] or [1.0])]
