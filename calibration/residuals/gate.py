@@ -74,7 +74,7 @@ class GateVerdict:
 
 
 def selected(verdicts: Sequence[GateVerdict]) -> str | None:
-    """Return the name of the accepted model with the smallest inner RMS; None if no model was accepted."""
+    """Return the name of the accepted model with the smallest ``inner_rms``; None if no model was accepted."""
     best = min(filter(attrgetter("accepted"), verdicts), key=attrgetter("inner_rms"), default=None)
     return None if best is None else best.model
 
@@ -164,6 +164,7 @@ def position_rms(residuals: Array, counts: Array | None = None) -> float:
 
 
 def _attitude_rms(residuals: Array, counts: Array) -> float | None:
+    """Return the RMS attitude error, rad, weighted by ``counts`` ``(N,)``; None if residuals are positions alone."""
     return None if residuals.shape[1] < 6 else position_rms(residuals[:, 3:], counts)
 
 
@@ -173,13 +174,17 @@ weights of the held-out rows."""
 
 
 def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:
+    """Return the split of measurements into training and held-out rows (indices from 0), with the refitted arm."""
     train, test = measurements.select(train_rows), measurements.select(test_rows)
     model = refit(train)
     return train, test, train.difference(model), test.difference(model), counted(measurements.joints)[test_rows]
 
 
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array:
-    """Return the held-out rows' residual minus the prediction of a model that learns from the trial's training rows."""
+    """Return the held-out rows' residual minus the prediction of a model that learns from the trial's training rows.
+
+    The model is the registered one with this name, and ``fitter`` replaces its fit unless it is None.
+    """
     train, test, to_learn, untouched, _ = trial
     rows, rng = (train.joints, to_learn, train.prismatic), np.random.default_rng(seed)
     model = fit_residual(name, *rows, rng, conditions=train.conditions.inputs(), fitter=fitter)
@@ -194,7 +199,12 @@ def _wins_outside(verdict: GateVerdict) -> bool:
 def _verdict(
     verdict: GateVerdict, left_by: Callable[[Trial], Array], blocked: Trial, inner: Callable[[], Sequence[Trial]]
 ) -> GateVerdict:
-    """Complete a model's verdict; the inner trials are made only if the model wins on the held-out blocks."""
+    """Return a model's verdict, completed with errors, acceptance and reason.
+
+    ``left_by`` fits the model on a split and returns the held-out residuals that remain. ``blocked`` is the split with
+    held-out blocks. ``inner`` returns the splits within the training rows; it is called only if the model wins on
+    ``blocked``.
+    """
     *_, untouched, counts = blocked
     try:
         residual = left_by(blocked)
@@ -217,7 +227,13 @@ def _verdict(
 
 
 def _compared(before: Array, after: Array, counts: Array) -> tuple[bool, str]:
-    """Return whether a residual wins, and the reason in words; positions must gain, and attitudes must not lose."""
+    """Return whether a residual wins, and the reason in words; positions must gain, and attitudes must not lose.
+
+    Args:
+        before: Held-out residuals without the model ``(N, 3 or 6)``, m and rad.
+        after: Held-out residuals with the model, in the same shape.
+        counts: Weight of each row ``(N,)``.
+    """
     gain = 1.0 - position_rms(after, counts) / position_rms(before, counts)
     if not gain > MARGIN:
         return False, f"no gain: {'cuts' if gain >= 0 else 'raises'} the blocked RMS by {abs(gain):.0%}"

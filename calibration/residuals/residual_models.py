@@ -74,6 +74,10 @@ def joint_inputs(
 
 
 def _raw_inputs(joints: Array, conditions: ArrayLike | None, periodic: NDArray[np.bool_]) -> Array:
+    """Return a regressor's inputs ``(..., F)`` before they are standardised.
+
+    These are joints, then sines and cosines of the joints marked in ``periodic`` ``(n,)``, then conditions.
+    """
     if conditions is None and not periodic.any():
         return joints
     turning = joints[..., periodic]
