@@ -209,14 +209,17 @@ class Result:
 
     @property
     def _standard(self) -> tuple[Array, Array | None]:
-        """Standard uncertainties of position and attitude at the rows judged; of a whole robot, by station."""
+        """Standard uncertainties of position, m, and attitude, rad, at the held-out rows, both ``(M,)``.
+
+        The attitude's is None if only positions were measured. For a whole robot each station's base and tool are used.
+        """
         sure, test = self.uncertainty, self.test
         if self.arm.nominal.tree is None:
             return sure.standard(self.fit.calibration.model, test.joints, test.conditions)
         return sure.standard_of(variance_by_station(self.fit.identification, test) + sure.scatter)
 
     def blocks(self) -> tuple[screen.Block, ...]:
-        """Return the tables that terminal and HTML page show after verdict and frames; empty ones are left out."""
+        """Return the tables that terminal and HTML page show after verdict and frames; empty tables are left out."""
         over = self.quality.workspace
         blocks = [self._errors(), instrument.set_up_block(self.set_ups, self.stations)]
         blocks += [] if over is None else [over.block()]
@@ -339,9 +342,11 @@ class Result:
         return "\n".join([*lines, *(block.text() for block in self.blocks())])
 
     def _verdict_lines(self) -> list[str]:
+        """Return the verdict and its reason, folded to the terminal's width."""
         return folded(f"verdict: {self.quality.grade.upper()}: {self.quality.reason}", screen_width())
 
     def _errors(self) -> screen.Block:
+        """Return the table of errors on held-out rows, one row per model."""
         figures = ("RMS", "mean", "95 % interval", "p95", "max")
         header: tuple[str, ...] = ("model", *(f"{name} ({self.miss_unit})" for name in figures))
         header += ("attitude mean (deg)",) if self.attitude else ()
@@ -396,11 +401,13 @@ class Result:
     def plain_parameters(self) -> list[dict[str, Any]]:
         """Return the entries of `parameters` except those that have tables of their own.
 
-        These are harmonics, compliances, and the frames of further set-ups; these count from an arbitrary start.
+        Left out are harmonics, compliances, and the frames of further set-ups. Changes of these frames say nothing,
+        because their starting values are arbitrary.
         """
         return [row for row in self.parameters() if not re.match(r"periodic|compliance|(base|tool)\d", row["name"])]
 
     def _parameters(self) -> screen.Block:
+        """Return the table of the parameters that moved (`has_moved`)."""
         every, rows = self.plain_parameters(), []
         for row in every:
             share = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
@@ -420,6 +427,7 @@ class Result:
         return f"expected beforehand: {prior.source}" + (f", the widths of {scales}" if scales else "")
 
     def _gate(self) -> screen.Block:
+        """Return the table of the verdicts on residual models."""
         rows = [("without", screen.figure(self.gate[0].geometric_blocked_rms * 1e3), "")]
         for v in self.gate:
             rows.append((v.model, "-" if v.blocked_rms is None else screen.figure(v.blocked_rms * 1e3), v.reason))
@@ -430,6 +438,7 @@ class Result:
         return screen.Block("Learnt residual models", header, tuple(rows), note, "residual_models")
 
     def _facts(self) -> screen.Block:
+        """Return the table of further facts: kind of measurement, condition number, iterations and clocks."""
         solution = self.geometric.identification
         rows = [
             ("measured", self.train.kind),
