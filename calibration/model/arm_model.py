@@ -63,7 +63,7 @@ class Conditions:
         return tuple(name for name in ("payload", "temperature") if getattr(self, name) is not None)
 
     def refuse_other_inputs(self, record: Mapping[str, Any]) -> None:
-        """Refuse conditions other than those that a residual was learnt with, such as a temperature for a payload.
+        """Refuse payload or temperature if a residual was learnt with other conditions.
 
         Args:
             record: Record of the calibration that has the residual.

@@ -456,7 +456,7 @@ class ReflectorObservations(Observations):
 
     @property
     def rows_of_misses(self) -> Rows:
-        """The row of each miss ``(R,)``; there is one miss per reflector seen."""
+        """Index, from 0, of each miss's row ``(R,)``; there is one miss per reflector seen."""
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:

@@ -69,9 +69,9 @@ class RowNoise:
         length: Distance of joints over which rows have that share in common, rad or m.
         common: Factor on variances of rows with the usual number of neighbours, which carry less information than
             independent ones.
-        shared: One entry per row whose m equations share the error of one pose. It has the indices of the equations,
-            orthonormal directions of that error among them ``(m, 6)``, and the share of each that whitening removes
-            ``(6,)``.
+        shared: One entry per row whose m equations share the error of one pose. It has the indices, from 0, of these
+            equations, orthonormal directions of that error in their space ``(m, 6)``, and the share of each direction
+            that whitening removes ``(6,)``.
         pose_std: Standard deviation of that shared error per axis: position, m, and attitude, rad.
     """
 
@@ -215,7 +215,7 @@ def _of_pictures(
     scatter: Array,
     sizes: Array,
 ) -> RowNoise:
-    """Estimate the noise of rows with many equations: each channel's scatter, and the pose error that a row shares.
+    """Estimate the noise of rows with many equations: each channel's scatter, and the pose error that a row's share.
 
     For each of the E equations, ``tool`` has the derivatives with respect to the tool's pose ``(E, 6)``, ``residual``
     the whitened residual, ``rows`` and ``channels`` the indices of row and channel, ``leverage`` the leverage, and

@@ -95,7 +95,7 @@ class Origins:
 
     Attributes:
         files: The files.
-        file: Index into ``files`` of each row ``(N,)``.
+        file: Index, from 0, of each row's file in ``files`` ``(N,)``.
         line: Line of each row in its file ``(N,)``, from 1.
         clocks: The clocks of the recordings among the files.
         scene: Names of the sensor and of the target with which the rows were measured; empty if the files name none.
@@ -171,7 +171,7 @@ class Stated:
 
     @property
     def _known(self) -> Rows:
-        """Indices, among the fitted numbers, of those with a finite uncertainty."""
+        """Indices, from 0 among the fitted numbers, of those with a finite uncertainty."""
         return np.flatnonzero(np.isfinite(self.std[self.free]))
 
     def unknowns(self) -> tuple[str, ...]:
@@ -228,9 +228,9 @@ class Observations:
         per_row: Names of the arrays that hold one entry per row, beside the joints.
         width: Number of equations of each miss.
         miss_unit: Unit of `misses` on screens: "mm" for metres, "deg" for radians.
-        rounding: Largest change of a reading by rounding to 0.01 mm or 0.001 deg, in m, rad or px. Instruments that
-            round so scatter by three times as much, so a pose that is measured again gives the same reading with a
-            probability of 0.2.
+        rounding: Largest change of a reading, in m, rad or px, if it is rounded to 0.01 mm or 0.001 deg. An instrument
+            that rounds so is taken to scatter by three times this change. A pose that is measured again then gives the
+            same reading with a probability of 0.2.
         stations: The `InstrumentStation` of each data set, if several are stacked for one fit (`Stacked`); else empty.
     """
 
@@ -507,7 +507,7 @@ pose."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:
-    """Return the indices of at most ``most`` of ``rows`` rows, equally spaced."""
+    """Return the indices, from 0, of at most ``most`` of ``rows`` rows, equally spaced."""
     return np.unique(np.linspace(0, rows - 1, most).astype(int))
 
 
@@ -552,7 +552,7 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
         rng: Shuffles the poses.
 
     Returns:
-        Indices of the training rows and of the held-out rows.
+        Indices, from 0, of the training rows and of the held-out rows.
 
     Raises:
         InputError: If ``test_rows`` leaves nothing to train on, or nothing to test.
@@ -577,7 +577,7 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
         rng: Draws the split.
 
     Returns:
-        Indices of the training rows and of the held-out rows.
+        Indices, from 0, of the training rows and of the held-out rows.
 
     Raises:
         InputError: If ``test_rows`` leaves nothing to train on, or nothing to test. Also if a socket or station would
@@ -615,7 +615,7 @@ def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows
         test_rows: Number of rows to hold out in all, met exactly if no pose is repeated; None for a fifth of the rows.
 
     Returns:
-        Indices of the training rows and of the held-out rows, in file order.
+        Indices, from 0, of the training rows and of the held-out rows, both ascending.
 
     Raises:
         InputError: If ``test_rows`` leaves nothing to train on, or the two runs would meet.
@@ -645,7 +645,7 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
             that none is empty. If every group has one pose, all count as one group.
 
     Returns:
-        Indices of the training rows and of the held-out rows, for each fold.
+        Indices, from 0, of the training rows and of the held-out rows, for each fold.
 
     Raises:
         InputError: If there are fewer than two folds, or fewer poses than folds.

@@ -208,7 +208,7 @@ class GravityTerm(JointTerm):
         return np.full(len(self.moments(geometry)), 1e-3)
 
     def owners(self, geometry: Geometry) -> NDArray[np.int64]:
-        """Return the joint that each coefficient belongs to ``(k,)``, from 0."""
+        """Return the index, from 0, of the joint that each coefficient belongs to ``(k,)``."""
         return np.array([i for i, _, _ in self.moments(geometry)])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
@@ -399,7 +399,7 @@ KINDS: dict[str, type] = {
 
 
 def kind_of_term(term: Term) -> str:
-    """Return the name of a term's kind."""
+    """Return the name of a term's kind, a key of `KINDS`."""
     return next(name for name, kind in KINDS.items() if isinstance(term, kind))
 
 
