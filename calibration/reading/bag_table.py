@@ -47,7 +47,7 @@ def read_log(
         path: The bag or the file.
         topic: Name of the topic; None for a file.
         separator: Character between columns of a file.
-        decimal: Decimal sign of a file.
+        decimal: Decimal sign of a file, "." or ",".
         names: Column names of a file without a header, or None.
 
     Raises:

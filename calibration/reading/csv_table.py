@@ -290,7 +290,7 @@ def read_table(
     Args:
         path: The file.
         separator: Character between columns.
-        decimal: Decimal sign.
+        decimal: Decimal sign, "." or ",".
         names: Column names of a file without a header, or None.
 
     Raises:

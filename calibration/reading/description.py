@@ -609,8 +609,8 @@ class DescriptionFile:
     def ends(self) -> tuple[tuple[str, str], tuple[str, str]]:
         """Names of the two ends of a measured pose, and the links that carry these ends.
 
-        The first end is the sensor, the second the target. For a camera that the arm carries, and for an inclinometer,
-        the order is reversed.
+        The first end is the sensor, and the second is the target. For a camera that the arm carries, and for an
+        inclinometer, the first end is the target, and the second is the sensor.
         """
         scene, links_of = self.scene, dict(self.scene.links)
         names = (scene.sensor, scene.target)

@@ -501,13 +501,13 @@ def views_table(
 ) -> tuple[Table, Path]:
     """Read the table of views, which has one row per view or one per corner.
 
-    Returns:
-        The table, and the folder that the paths of pictures start from.
-
     Args:
         paths: A list of one CSV or YAML file, or of one folder whose files match the description's ``files``.
         pixels: Section [pixels] of the description.
         layout: The description.
+
+    Returns:
+        The table, and the folder that the paths of pictures start from.
 
     Raises:
         InputError: If there is more than one path, or if something is wrong with the file.
