@@ -251,7 +251,7 @@ class PosePlan:
             builds on such rows, or if the poses are too few to determine all these parameters without priors.
         first: Number of rows measured before the plan.
         seconds: Time that the planning took, s.
-        lines: Lines of the poses in the file of candidates; None if the candidates were drawn.
+        lines: Lines, from 1, of the poses in the file of candidates; None if the candidates were drawn.
         curve: For several numbers of poses: the number, the error to expect from as many planned poses, and from as
             many random poses, m.
     """
@@ -279,7 +279,10 @@ class PosePlan:
         return (*self.design.names, *self.design.model.names)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the plan as values for JSON; top-level condition and O1 ratio are for the arm's own parameters."""
+        """Return the plan as values for JSON.
+
+        The entries "condition", "random_condition" and "o1_ratio" are copied from "arm", for the arm's own parameters.
+        """
         figures: dict[str, Any] = {
             "poses": len(self.joints),
             "first_rows": self.first,
