@@ -212,7 +212,8 @@ def _height(axes: list[_Axis]) -> float:
     """Compute the position along the first axis, m from the axis's point, at which the chain leaves this axis.
 
     The position is the foot of the common normal of two axes: the last one parallel to the first axis, and the next
-    one. It does not depend on joint values. It is 0 if all axes are parallel, or if a prismatic joint comes before.
+    one. It does not depend on joint values. It is 0 if all axes are parallel, or if the first axis that is not parallel
+    is that of a prismatic joint or comes after one.
     """
     first = axes[0]
     for last, following in itertools.pairwise(axes):
@@ -350,15 +351,15 @@ def _moved_origins(
 ) -> tuple[list[Pose], Pose, Pose]:
     """Compute the corrected origins of a file's joints.
 
-    Returns:
-        The origins, then the pose of the last joint's link in the file's root without and with correction.
-
     Args:
         before: Poses of the arm's links in the file's root, at the file's zero, before the calibration.
         after: The same poses after the calibration.
         joints: The joints of the file.
         signs: 1 or -1 for each link, the direction of its motion in the table relative to the file.
         corrected: Origins that are already corrected, by the joint's name.
+
+    Returns:
+        The origins, then the pose of the last joint's link in the file's root without and with correction.
     """
     links = links_of(joints)
     places = {joint.name: place for place, link in enumerate(links) for joint in link}
@@ -509,10 +510,10 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
-    """Compute the new pose of an element in a file, if the fixed elements before it keep their poses.
+    """Compute an element's new pose in a file, if the fixed elements from the previous joint to it keep their poses.
 
     Args:
-        own: The element's pose in the file, relative to the element before it.
+        own: The element's pose in the file, relative to its parent element.
         whole: The element's pose relative to the previous joint, that is composed with the fixed elements in between.
         corrected: The new pose relative to the previous joint.
     """
@@ -542,7 +543,10 @@ def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Po
 
 
 def _readings(calibration: Calibration, own: JointRow, same: SameChain) -> Iterator[str]:
-    """Yield a sentence that names joints whose readings in the file differ from the arm's table, if there are any."""
+    """Yield a sentence that names joints whose readings in the file differ from the arm's table, if there are any.
+
+    ``own`` are the file's joints, and ``same`` is the relation of the table to the file.
+    """
     drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
     readings = [
         f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"

@@ -123,8 +123,8 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
     Args:
         nominal: The geometry.
         joints: Joint values ``(N, n)``, rad or m.
-        rows: The components of a pose difference that count.
-        columns: The parameters of base and tool that were fitted.
+        rows: Slice of the components of a pose difference that count: the first 3, or all 6.
+        columns: Indices, from 0, of the parameters of base and tool that were fitted; empty if both are known.
 
     Returns:
         Three matrices. The first maps pose differences to the offsets that correct them, without the part that base and
@@ -212,6 +212,8 @@ def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
 def lerobot_document(calibration: Calibration, order: document.Order) -> document.Document:
     """Make the robot's own LeRobot calibration file with corrected homing offsets; nothing else in it changes.
 
+    ``order`` holds the options of the export.
+
     Raises:
         InputError: If no such file is given or it is unusable. Also if a joint has no motor of its name, is prismatic
             or has drive_mode 1. Also if a homing offset is larger than the servo can hold.
@@ -263,8 +265,8 @@ TABLE_FORMAT = "pickenv joint offsets 1"
 def offset_table(calibration: Calibration, order: document.Order) -> document.Document:
     """Make a table of the offsets to add to joint readings, as CSV, or as JSON if the file ends in .json.
 
-    Offsets are in deg or mm. If encoder counts per turn are given, revolute joints also have their offset in whole
-    counts.
+    Offsets are in deg or mm. If ``order``, the options of the export, has encoder counts per turn, revolute joints also
+    have their offset in whole counts.
     """
     rows: list[dict[str, Any]] = []
     shift = joint_offsets(calibration)
@@ -305,7 +307,7 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
 
     A joint reports its raw reading minus its parameter "offset", rad or m. The reading must grow by the calibration's
     offset, so this offset is subtracted from the joint's parameter. A new file holds the joints alone, without the ids
-    of servos.
+    of servos. ``order`` holds the options of the export.
 
     Raises:
         InputError: If the description is unusable, or a joint is not in it.
@@ -367,7 +369,8 @@ def dh_table(calibration: Calibration, order: document.Order) -> document.Docume
     """Make a table of the DH parameters before and after calibration, as CSV, or as JSON if the file ends in .json.
 
     Angles are in deg, lengths in mm. Parameters are given for the modified and for the standard convention. A
-    parameter that was not identified keeps its nominal value and has no standard deviation.
+    parameter that was not identified keeps its nominal value and has no standard deviation. ``order`` holds the options
+    of the export.
     """
     notes = (KEPT, *document.left_out(calibration, "not in the table, because no geometry can hold it"))
     sure = uncertainty_from(calibration.record)

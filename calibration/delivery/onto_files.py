@@ -51,7 +51,7 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
     """Write the corrected arm as a new arm file, with the base and tool of the calibration.
 
     Hayati's beta (``beta_deg``) is written only for joints where it is not zero. A link that follows another joint is
-    written as a joint table with ``follows`` and ``ratio``.
+    written as a joint table with ``follows`` and ``ratio``. ``order`` holds the options of the export.
 
     Raises:
         InputError: If a joint that turns moves only links that slide, or the other way round (a rack and its pinion).
@@ -129,7 +129,8 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     """Write the calibrated joint origins into the robot's own URDF, or write a new URDF with rods as links.
 
     The rods lead from the robot's own base to the tool. If base and tool were fitted, they belong to the instrument and
-    are no part of the robot. Base and tool of a new URDF are then those of the arm before calibration.
+    are no part of the robot. Base and tool of a new URDF are then those of the arm before calibration. ``order`` holds
+    the options of the export.
 
     Raises:
         InputError: If the robot's file is unusable or of another arm, or if the new file would not find its meshes.
@@ -239,8 +240,9 @@ def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) ->
 def mjcf_document(calibration: Calibration, order: document.Order) -> document.Document:
     """Write the calibrated poses of bodies into the robot's own MJCF, or write new MJCFs with rods as links.
 
-    Without the robot's own file, the identified arm is written, and beside it the nominal arm (``…_nominal``). With
-    ``sample``, arms that are drawn from the posterior are written too (``…_1`` to ``…_n``).
+    ``order`` holds the options of the export. Without the robot's own file, the identified arm is written, and beside
+    it the nominal arm (``…_nominal``). With ``order.sample``, arms that are drawn from the posterior are written too
+    (``…_1`` to ``…_n``).
 
     Raises:
         InputError: If the robot's file is unusable or of another arm. Also if its bodies are in an included file, or if
@@ -386,8 +388,8 @@ UR_TWISTS = (0.0, math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2)
 def kinematics_yaml_document(calibration: Calibration, order: document.Order) -> document.Document:
     """Write corrected origins into the robot's own kinematics YAML; its other lines and its hash do not change.
 
-    Without the robot's own file, a new one is written for ur_description's ``kinematics_params``. This needs a UR whose
-    DH table has the maker's link frames.
+    ``order`` holds the options of the export. Without the robot's own file, a new one is written for ur_description's
+    ``kinematics_params``. This needs a UR whose DH table has the maker's link frames.
 
     Raises:
         InputError: If the robot's file is unusable or of another arm. For a new file, if the arm's DH table does not
@@ -483,10 +485,11 @@ def static_transforms(calibration: Calibration, order: document.Order) -> docume
     """Write a shell script that publishes two transforms in ROS 2: the measurement's frame and the calibrated tool.
 
     The measurement's frame is relative to the root of the robot's own URDF, the tool to the URDF's tip. Without a URDF,
-    they are relative to the arm's base and tool frames, which are then named base_link and tool0.
+    they are relative to the arm's base and tool frames, which are then named base_link and tool0. ``order`` holds the
+    options of the export.
 
     Raises:
-        InputError: If the file is unusable, of another arm or without named frames, or if ROS does not allow a name.
+        InputError: If the URDF is unusable, of another arm or without named frames, or if ROS does not allow a name.
     """
     path, names = order.onto, ("base_link", "tool0")
     measured = behind(calibration.arm.base, inverse_pose(calibration.identified.base))
