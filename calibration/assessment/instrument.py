@@ -239,7 +239,8 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
 
     Args:
         set_ups: The set-ups as `set_ups_of` gives them.
-        asked: Which frames differ from file to file, as the caller stated. None if this was decided from the rows.
+        asked: Which frames differ from file to file, as the caller stated, such as "base,tool". None if this was
+            decided from the rows.
     """
     rows = []
     for set_up in set_ups:

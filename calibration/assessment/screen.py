@@ -110,7 +110,7 @@ def over(sizes: Sequence[int], width: int) -> int:
 
 
 def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
-    """Return the unit in which a parameter is shown, and the factor to it from SI.
+    """Return the unit in which a parameter is shown, and the factor from SI to this unit.
 
     Coefficients of terms are shown in SI units.
 
