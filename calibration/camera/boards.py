@@ -376,7 +376,7 @@ def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike
         count: Number of corners on the board.
         numbers: Indices of the corners that the picture shows ``(N,)``, from 0.
         places: Pixels of these corners ``(N, 2)``.
-        std: Standard uncertainty of each, px: ``(N,)`` or one number for all.
+        std: Standard uncertainty of each corner's coordinates, px: ``(N,)`` or one number for all.
     """
     pixels, seen, stds = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
     numbers = np.asarray(numbers, dtype=np.int64)
