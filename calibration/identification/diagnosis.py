@@ -240,7 +240,7 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
 
     Args:
         listed: The outliers, and other rows left out.
-        rows: Number of all rows.
+        rows: Count of all rows, those left out among them.
     """
     far = [item for item in listed if item.sigma is not None]
     if not far:

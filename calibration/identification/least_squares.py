@@ -113,7 +113,7 @@ class Identification:
 
     @property
     def narrowed(self) -> Array:
-        """Share by which measuring reduced each parameter's standard deviation, 0 to 1; 0 for dropped ones."""
+        """Share by which measuring reduced the standard deviation of every parameter, 0 to 1; 0 for dropped ones."""
         with np.errstate(invalid="ignore"):
             return np.nan_to_num(np.clip(1.0 - self.standard_deviation / self.prior_std, 0.0, 1.0))
 
@@ -376,6 +376,9 @@ def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
     Args:
         matrix: Matrix of the equations ``(rows, P)``.
         right: Right-hand side ``(rows,)``.
+
+    Returns:
+        Matrix and right-hand side of at most P + 1 equations.
     """
     ends = np.linspace(0, len(right), max(len(right) // BLOCK, 1) + 1).astype(int).tolist()
     parts = [np.asarray(np.linalg.qr(np.column_stack([matrix[i:j], right[i:j]]), "r")) for i, j in pairwise(ends)]

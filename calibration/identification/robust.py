@@ -152,7 +152,8 @@ def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) ->
 def _offset_from_positions(chain: Pose, position: Array) -> Array:
     """Compute the tool offset u ``(3,)``, m, from M p - s - Q u = o, which is linear in M = R^T, s = R^T t and u.
 
-    R and t are the base's rotation and position, p the measured position, Q and o those of the last link.
+    R and t are the base's rotation and position. ``chain`` holds rotation Q and position o of the last link in frame 0
+    at each of N rows, and ``position`` the measured positions p ``(N, 3)``, m.
     """
     count, middle = len(position), position.mean(axis=0)
     by_rotation = np.einsum("ik,nj->nikj", np.eye(3), position - middle).reshape(count, 3, 9)
@@ -343,6 +344,8 @@ def sizes_of(
 
 def sigma_of(found: Identification, data: Observations, scales: Array | None = None) -> Array:
     """Return the largest error of each row ``(N,)`` under an identified arm, in standard deviations of the channels.
+
+    A channel is the readings of one instrument in one unit.
 
     Args:
         found: The identification.

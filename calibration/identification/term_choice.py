@@ -82,7 +82,7 @@ class Linearised:
 
     @property
     def fitted(self) -> Places:
-        """Indices of the parameters that are not terms' coefficients."""
+        """Indices, from 0, of the parameters that are not terms' coefficients."""
         return np.arange(len(self.names) - len(self.arm.coefficients))
 
     def coefficients_of(self, term: int) -> Places:
@@ -232,7 +232,7 @@ def harmonics_of(found: Identification) -> list[Harmonic]:
 
 
 def every_order(geometry: Geometry) -> PeriodicTerm:
-    """Return a term with all candidate harmonics: every order of the coarse grid, for every revolute joint."""
+    """Return a term with all candidate harmonics: orders from 1 to `HIGHEST` in steps of `STEP`, per revolute joint."""
     orders = np.arange(1.0, HIGHEST + STEP / 2, STEP).tolist()
     return _harmonics([(i, order) for i in range(geometry.joints) if not geometry.prismatic[i] for order in orders])
 
@@ -465,7 +465,7 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
 
 
 def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
-    """Return the term of this name; "periodic" has all candidate harmonics.
+    """Return the term of this name, one of `NAMES`; "periodic" has all candidate harmonics.
 
     "compliance" takes measured torques, or else the weight of the arm's masses; "bending" takes these masses.
     """
@@ -529,7 +529,10 @@ class _Trial:
         return _Trial(bare, data, names, equations, counts)
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
-        """Return indices of the parameters fitted with the named terms: for each block left out, and for all blocks."""
+        """Return indices, from 0, of the parameters that are fitted with the terms ``names``.
+
+        They are given for each block of rows left out, and then for all blocks together.
+        """
         model = self.equations
         others = [model.coefficients_of(self.names.index(name)) for name in names if name != "periodic"]
         base = np.concatenate([model.fitted, *others])
