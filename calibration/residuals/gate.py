@@ -104,12 +104,12 @@ def gate_residuals(
     """Judge residual models on held-out blocks; `selected` then chooses among the accepted ones.
 
     On every split the arm is identified again from the training rows, and the residual is then fitted to the same rows.
-    A model is accepted if it cuts the blocked RMS by more than `MARGIN` and does not increase the attitude RMS by more
-    than `MARGIN`. It must do both again when cross-validated over contiguous folds of the blocked split's training
-    rows. The cross-validation also ranks the accepted models. So the held-out blocks may reject a model but never rank
-    models. If they also chose the best of several models, the error of that model on them would look too small. A
-    network takes seconds to fit. It is tried last and, beside others, only if one of them gains on the held-out blocks
-    (`SLOW`).
+    A model is accepted if it cuts the RMS on the held-out blocks by more than `MARGIN` and does not increase the
+    attitude RMS there by more than `MARGIN`. It must do both again when cross-validated over contiguous folds of the
+    training rows. The cross-validation also ranks the accepted models. So the held-out blocks may reject a model but
+    never rank models. If the blocks also chose the best of several models, its error on them would look too small. A
+    network takes seconds to fit, so it is tried last. If other models are tried too, it is tried only if one of these
+    gains on the held-out blocks (`SLOW`).
 
     Args:
         measurements: Poses or positions, in the order they were measured.
