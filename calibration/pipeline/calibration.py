@@ -290,7 +290,7 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
 
 
 def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
-    """Compute the factor such that 95 of 100 errors are smaller than the factor times their expected size.
+    """Compute the factor such that 95 of 100 errors are smaller than the factor times their expected RMS size.
 
     Args:
         joints: Joints of each error's row ``(R, n)``, rad or m.
@@ -300,8 +300,8 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
             blocks are contiguous tenths of the poses.
 
     Returns:
-        The entry "factor", and the entry "covered": the share of errors that are below a bound from the other blocks.
-        None if there are too few errors or blocks.
+        The entry "factor", and the entry "covered": the share of errors below their bound, where each block's bound
+        comes from all other blocks. None if there are too few errors or blocks.
     """
     count = len(squares)
     if count < 2 * BLOCKS:
@@ -321,7 +321,7 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
 
 
 def _quantile(ratio: Array) -> float:
-    """Return the 95 % conformal quantile of n ratios: that of rank 0.95 (n + 1), rounded up, or else the largest."""
+    """Return the 95 % conformal quantile of n ratios: the one of rank 0.95 (n + 1), rounded up, but n at most."""
     rank = int(np.ceil(SHARE * (len(ratio) + 1)))
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])
 
@@ -339,7 +339,7 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
 
 
 def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:
-    """Mark the rows ``(N,)`` that lie in the region where the arm was measured.
+    """Return a mask ``(N,)`` of the rows that lie in the region where the arm was measured.
 
     A row lies there if a fitted row is near and the parameters cause little uncertainty of its pose (`VAGUE`).
 

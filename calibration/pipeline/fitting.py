@@ -166,7 +166,7 @@ def fit_remainder(
 
     Args:
         found: The fit.
-        kind: Name of the residual model.
+        kind: Name of the residual model: "bpnn", "rbf" or "gp".
         data: Poses or positions from which the model learns.
         rng: Random generator of the model.
         settings: If given, the paper's network with these settings is trained, with the joints themselves as inputs.
@@ -233,7 +233,7 @@ class HeldOut:
         parametric: Errors of the last model without its learnt residual.
         used: Name of the model that judged the rows; if rows were held out block by block, one name per block.
         blocks: Index, from 0, of each error's block of rows ``(M,)``; None if rows were held out once.
-        pixels: For pictures, the geometry's errors in px, one array per view; empty for other kinds.
+        pixels: For pictures, errors in px of the fit of geometry alone, one array ``(R, 2)`` per view; else empty.
         row: Index, from 0, of each error's row ``(M,)``, if rows were held out once and have several errors each, such
             as those of several reflectors or of a board's corners; else None.
     """
@@ -249,8 +249,8 @@ class HeldOut:
     def together(self) -> Rows | None:
         """Index, from 0, of each error's block or row, whose errors count as correlated ``(M,)``.
 
-        None if each row has one error. Fewer than `LEAST_ROWS` rows with several errors each count as one group, for
-        which there is no interval.
+        None if rows were held out once and each row has one error. Fewer than `LEAST_ROWS` rows with several errors
+        each count as one group, for which there is no interval.
         """
         if self.blocks is not None or self.row is None or self._values >= LEAST_ROWS:
             return self.row if self.blocks is None else self.blocks
@@ -372,7 +372,10 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """Compute an identified arm's errors without a learnt residual: ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad."""
+    """Compute an identified arm's errors on data, without a learnt residual.
+
+    They have the shape ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
+    """
     tracked = tracked_rows(found, data)
     if tracked is None:
         return data.misses(found.arm_model, unknowns_of(found, data))

@@ -379,6 +379,7 @@ class Result:
     def parameters(self) -> list[dict[str, Any]]:
         """Return each fitted parameter: its name, its unit, its change and its standard deviation, in that unit.
 
+        The change is that from the nominal geometry; for an instrument's own unknown it is the value itself.
         ``prior_std`` is the standard deviation before measuring. ``narrowed`` is the share, 0 to 1, by which the rows
         have narrowed the prior. Both are None if the parameter had no prior.
         """

@@ -85,7 +85,7 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse options that do not apply to the kind of measurement that the rows hold.
 
     Args:
-        train: The training rows; they are not poses or positions of one station.
+        train: The training rows, of another kind than poses or positions of one station.
         choices: The options.
 
     Raises:

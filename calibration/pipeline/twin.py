@@ -200,7 +200,7 @@ def _never_told(calibration: Calibration) -> list[str]:
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
-    """Return a plant's layout of its k coefficients, and the matrix ``(k, t)`` that computes them from the terms' t."""
+    """Return a plant's layout of k coefficients, and the matrix ``(k, t)`` that computes them from t of the terms."""
     sizes = [len(term.names(geometry)) for term in terms]
     units = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))  # the last part is empty
     harmonics, moments, up = [], [], (0.0, 0.0, 1.0)
@@ -303,7 +303,7 @@ def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, tu
         mean: Mean weights of the waves' cosines, then sines ``(O, 2 K)``, m and rad.
         offset: Constant part of each output ``(O,)``, m and rad.
         inputs: How joints become the process's inputs.
-        turn: Rotation matrix from the frame in which the residual was learnt into the arm's own.
+        turn: Rotation matrix ``(3, 3)`` from the frame in which the residual was learnt into the arm's own base frame.
     """
     joints = len(inputs.periodic) + int(inputs.periodic.sum())  # conditions come after them, and stay at their mean
     scaled = frequency[:, :joints] / inputs.std[:joints, None]

@@ -457,8 +457,9 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 def _since(rest: Rows, errors: Array, expected: Array) -> int | None:
     """Return the index, from 0, of the judged row from which on every block of rows has too large errors.
 
-    None if there is no such row, or if all rows have them. ``errors`` ``(R, 3 or 6)`` are those of the R judged rows,
-    m and rad; ``expected`` ``(R,)`` are their expected mean square position errors, m^2.
+    None if there is no such row, or if all blocks have too large errors. ``errors`` ``(R, 3 or 6)`` are those of the R
+    judged rows, m and rad; ``expected`` ``(R,)`` are their expected mean square position errors, m^2. Of ``rest``, the
+    rows' indices, only the count matters.
     """
     if len(rest) < 4 * BLOCKS:
         return None
