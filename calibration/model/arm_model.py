@@ -31,7 +31,7 @@ class Conditions:
         torque: Measured joint torques or forces ``(N, n)``, N*m or N; positive if the load, such as gravity, pushes in
             the joint's positive direction.
         between: For a robot whose links form a tree, indices of the links that carry the sensor and its target
-            ``(N, 2)``, see `pickenv.arm.kinematics.geometry.LinkTree`.
+            ``(N, 2)``, from 0, with -1 for the world; see `pickenv.arm.kinematics.geometry.LinkTree`.
     """
 
     payload: Array | None = None

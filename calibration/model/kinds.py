@@ -255,7 +255,7 @@ class SocketObservations(Observations):
 
     @property
     def groups(self) -> Rows:
-        """Number, from 0, of each row's socket ``(N,)``; a split thus has training rows of every socket."""
+        """Number, from 0, of each row's socket ``(N,)``; splits by these groups train on rows of every socket."""
         return self.socket
 
     def span(self, tool: Array) -> float:
@@ -406,7 +406,7 @@ class DistanceObservations(Observations):
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
         """Return the G equations of the surface's numbers: one keeps a plane's normal at length one, a point has none.
 
-        The equation is weighted as strongly as all readings together.
+        A plane's equation is weighted as strongly as all readings together.
 
         Args:
             numbers: All of the instrument's numbers ``(K,)``.

@@ -313,8 +313,8 @@ class InstrumentStation:
         base: Starting value of the station's own base frame; None if the station uses the arm's base frame.
         tool: Starting value of the station's own tool frame; None if the station uses the arm's tool frame.
         scale: Factor on the data's standard uncertainties, which weighs instruments by their scatter.
-        owners: Number of the station that owns a frame, by the frame's name ("base" or "tool"). This station owns the
-            frames that are not listed.
+        owners: Number, from 1, of the station that owns a frame, by the frame's name ("base" or "tool"). This station
+            owns the frames that are not listed.
     """
 
     data: Observations

@@ -175,12 +175,12 @@ def _usual(like: Array, share: float) -> float:
 
 
 def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:
-    """Fit the share of the variance that neighbours have in common, and its length scale; both 0 if there is none.
+    """Fit the share of the variance that neighbours have in common, and its length scale; both 0 without such a share.
 
     Args:
         joints: Joints ``(N, n)``, rad or m.
         white: Residuals of the equations ``(E,)``, divided by their scatter.
-        rows: Index of each equation's row ``(E,)``, -1 for an equation without a row.
+        rows: Index, from 0, of each equation's row ``(E,)``; -1 for an equation without a row.
     """
     if len(joints) < 4 * POSE or (rows < 0).any() or len(white) % len(joints):
         return 0.0, 0.0
