@@ -87,7 +87,8 @@ class ContactTable:
     """Section [touches] or [plane], and the keys that all sections of contact measurements share.
 
     ``std`` is the standard uncertainty of a contact, m. ``tool_point`` is the position of the touching point in the
-    tool frame, m. If ``tool`` is "known", ``tool_std`` is its standard uncertainty, m; if "fitted", it is unknown.
+    tool frame, m. With ``tool`` "known", the position has the standard uncertainty ``tool_std``, m; with "fitted", the
+    position is unknown.
     ``contact`` names a column that is 0 without contact.
     """
 

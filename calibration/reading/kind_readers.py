@@ -156,8 +156,8 @@ def read_joints(table: Table, layout: description.DescriptionFile, where: str, g
         geometry: The arm's nominal geometry.
 
     Raises:
-        InputError: If the number or the units of the joint columns do not fit the arm, or if a joint lies far beyond
-            its limits. The latter is almost always a wrong unit, deg for rad or mm for m.
+        InputError: If the number or the units of the joint columns do not fit the arm. Also if a joint lies far beyond
+            its limits, which almost always means a wrong unit, deg for rad or mm for m.
     """
     columns, n = [], geometry.joints
     if len(layout.joint_units) != n:

@@ -226,7 +226,7 @@ class Logs:
 
         Args:
             times: Time of each sample on the joint log's clock ``(T,)``, s.
-            groups: Indices of the samples of each group.
+            groups: Indices, from 0, of the samples of each group.
         """
         names, values = self.values
         rotation = self.layout.rotation
@@ -420,13 +420,13 @@ def _times(table: Table, name: str, unit: str) -> Array:
 
 
 def _speeds(logs: Logs) -> tuple[Array, Array, float]:
-    """Compute the speeds of the nominal tool over the joint log, those of the readings over the instrument's log.
+    """Compute the speeds of the nominal tool, over the joint log, and of the readings, over the instrument's log.
 
     Speeds are angular if attitudes were measured, else linear. They do not depend on the base, and hardly on the tool.
 
     Returns:
-        Speeds of the tool ``(A,)``, speeds of the readings ``(B,)``, in units that only a correlation compares, and the
-        time step of both, s.
+        Motion of the tool per `CHORD` of time ``(A,)``, rad or m; motion of the readings per `CHORD` ``(B,)``, rad or
+        the file's unit; and the time step of both, s.
     """
     step = max(float(np.median(np.diff(logs.times))), float(np.median(np.diff(logs.log))), 2e-3)
     width = max(round(CHORD / step), 2)
@@ -575,7 +575,7 @@ def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
     Args:
         logs: The recording.
         times: Time of each sample on the joint log's clock ``(T,)``, s.
-        usable: Indices of the samples that lie within the joint log.
+        usable: Indices, from 0, of the samples that lie within the joint log.
     """
     step = np.median(np.diff(logs.log))
     width = max(round(REST / step), 3)
