@@ -130,7 +130,7 @@ class StartTag:
         attributes: Values of its attributes by name.
         start: Index in the text of the tag's first byte, its ``<``.
         end: Index of the byte after its ``>``.
-        parent: Index, in the list of `start_tags`, of the element around it; None for the root.
+        parent: Index, in the list of `start_tags`, of the enclosing element; None for the root.
     """
 
     name: str

@@ -54,8 +54,8 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
     """Build the ONNX model of a network: inputs (sine and cosine of joints that turn far), two scalings, and layers.
 
     Args:
-        learnt: The learnt residual; its inputs hold the first standardisation.
-        network: Its network, with the second standardisation and the layers.
+        learnt: The learnt residual, of which ``learnt.inputs`` holds the first scaling.
+        network: The learnt residual's network, which holds the second scaling and the layers.
         geometry: The arm.
         words: Lines of the model's documentation.
     """

@@ -128,7 +128,8 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
 
     Returns:
         Three matrices. The first maps pose differences to the offsets that correct them, without the part that base and
-        tool can correct too. The second maps offsets to poses, the third parameters of base and tool to poses.
+        tool can correct too. The second maps changes of offsets to changes of poses. The third maps changes of the
+        parameters of base and tool to changes of poses.
     """
     count = len(joints) * rows.stop
     effect = joint_jacobian(nominal, joints)[:, rows].reshape(count, -1)
