@@ -364,7 +364,7 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
 
 
 def _region(found: Identification, data: Observations) -> Iterator[str]:
-    """Yield a caution if a step at some value of one joint explains most of the fit's squared residuals."""
+    """Yield a caution if a step of the errors at some value of one joint explains most of the squared residuals."""
     if len(data.joints) < len(STEPS) or data.poses is None:
         return
     misses = data.misses(found.arm_model, unknowns_of(found, data))
@@ -380,7 +380,9 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
 
 
 def _step(values: Array, misses: Array) -> tuple[float, float, float]:
-    """Return the largest share of squared residuals that a step explains, the joint's value there, and its size, m.
+    """Return the largest share of squared errors that a step explains, the joint's value at the step, and its size, m.
+
+    Above and below a step, the mean errors differ.
 
     Args:
         values: Values of one joint ``(N,)``, rad or m.

@@ -265,7 +265,7 @@ def workspace_error(
         region: Name of the workspace.
         remains: RMS error on held-out rows, m.
         between: For a whole robot (a tree of links), indices of the two links between which each row was measured
-            ``(N, 2)``. The workspace's joints are assigned to the same pairs of links in turn.
+            ``(N, 2)``, from 0, with -1 for the world. The workspace's joints are assigned to the same pairs in turn.
     """
     if solution.prior is None or not solution.prior.proper:
         return None
@@ -327,7 +327,7 @@ def _size(errors: Array) -> tuple[float, tuple[float, float]]:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """The quality of a calibration: its grade, with the findings and tests behind it.
+    """The quality of a calibration: its grade, with the findings and tests that the grade comes from.
 
     Attributes:
         grade: The verdict.
