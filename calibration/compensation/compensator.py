@@ -286,10 +286,10 @@ class Compensator:
         return joints
 
     def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
-        """Compile this map to machine code for repeated calls with ``count`` targets ``(count, n)``.
+        """Return this map compiled to machine code, for repeated calls with ``count`` targets ``(count, n)``.
 
-        The results are equal up to rounding. There is no machine code for single precision; the compensator itself is
-        then returned.
+        Compiled and plain map give equal commands up to rounding. There is no machine code for single precision; the
+        compensator itself is then returned.
 
         Raises:
             MissingExtra: If llvmlite is not installed.
