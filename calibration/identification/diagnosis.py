@@ -275,7 +275,7 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Sa
 
 
 def said_of_stations(found: Identification, data: Observations) -> Said:
-    """Yield a caution for each station with far larger residuals than the others, although its frames were fitted."""
+    """Yield a caution for each station whose residuals are far larger than the other stations', with fitted frames."""
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
     sizes = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)

@@ -589,7 +589,7 @@ def observability(singular_values: Array, poses: int) -> dict[str, float]:
         The indices by name, with singular values s1 (largest) to sm. Index "o1" is (s1 … sm)^(1/m) / sqrt(n), with the
         geometric mean that a D-optimal set maximises. Index "o2" is sm / s1, the inverse condition number. Index "o3"
         is sm, which shows how well the worst combination is determined. Index "o4" is sm^2 / s1, noise amplification.
-        Index "o5" is 1 / sum(1 / si), related to A-optimality. The others are "condition", s1 / sm, and "poses", n.
+        Index "o5" is 1 / sum(1 / si), related to A-optimality. Entry "condition" is s1 / sm, and entry "poses" is n.
 
     Raises:
         ValueError: If a singular value is not above zero: such parameters are not identifiable and must be left out.

@@ -79,7 +79,11 @@ def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float
 
 
 def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry]:
-    """Yield starting geometries: closed form and nominal tool, then random tools with a fixed seed; best ones first."""
+    """Yield starting geometries, which differ in their tool, each with the base that fits best.
+
+    The nominal tool and the closed-form tool come first, then random tools, drawn with a fixed seed. Within each of
+    these two groups, the tool of the smallest error comes first.
+    """
     bare = ArmModel.of(replace(geometry, base=identity_pose(), tool=identity_pose()))
     chain = bare.pose(measurements.joints, measurements.conditions)
 
@@ -194,7 +198,8 @@ def refuse_another_arm(
         geometry: The arm, with base and tool as they are known or fitted.
         measurements: The data.
         state: Words for the message that say how base and tool were determined.
-        nominal: The arm with its own tool, if ``geometry`` has a fitted tool.
+        nominal: The arm with its own tool, if ``geometry`` has a fitted tool. Its spread of positions shows whether
+            the unit is wrong.
 
     Raises:
         InputError: If positions miss by more than `MISFIT` of their spread, where the spread counts as at least `SPAN`,
@@ -505,8 +510,8 @@ def _stations(arm: Arm, parts: Sequence[Observations], owners: Sequence[Mapping[
     Args:
         arm: The arm.
         parts: The data sets; the first has the arm's own frames.
-        owners: For each set after the first, the number of the station that each frame belongs to. Frames that are left
-            out are shared with the arm.
+        owners: For each set after the first, the number, from 1, of the station that each frame belongs to, by the
+            frame's name. Frames that are left out are shared with the arm.
     """
     starts = [robust_frames(arm, part) if part.framed else arm.nominal for part in parts[1:]]
     stations = [InstrumentStation(parts[0])]

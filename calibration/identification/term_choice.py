@@ -257,8 +257,8 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
     Args:
         matrix: Normal equations ``(P, P)``, priors among them.
         right: Right-hand side of the normal equations ``(P,)``.
-        base: Indices of the columns that are always included.
-        candidates: Indices of each candidate's sine and cosine columns ``(M, 2)``.
+        base: Indices, from 0, of the columns that are always included.
+        candidates: Indices, from 0, of each candidate's sine and cosine columns ``(M, 2)``.
         most: Number of candidates to choose.
     """
     pairs = candidates.ravel()
@@ -298,8 +298,8 @@ def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tu
 
     Args:
         equations: Normal equations of geometry, other terms and every candidate harmonic.
-        base: Indices of the columns that are always included.
-        candidates: Indices of the sine and cosine columns of each candidate ``(M, 2)``.
+        base: Indices, from 0, of the columns that are always included.
+        candidates: Indices, from 0, of the sine and cosine columns of each candidate ``(M, 2)``.
     """
     of_each, right_of_each, squares_of_each = equations.normal
     rows = sum(len(block.joints) for block in equations.blocks)
