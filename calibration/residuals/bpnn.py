@@ -367,7 +367,7 @@ def _network_code(poses: int, starts: Sequence[int], shapes: Sequence[tuple[int,
 
     Args:
         poses: Number of poses at a time.
-        starts: Index at which each layer's numbers begin.
+        starts: Index, from 0, of each layer's first number.
         shapes: Padded numbers of inputs and outputs of each layer.
     """
     half, last, calls = max(max(shape) for shape in shapes) * poses, len(shapes) - 1, list[str]()

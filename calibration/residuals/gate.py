@@ -45,7 +45,7 @@ other data."""
 
 @dataclass(frozen=True)
 class GateVerdict:
-    """The gate's verdict on one residual model, with the errors behind it.
+    """The gate's verdict on one residual model, with the errors that the verdict comes from.
 
     Every RMS is of the position error's norm, m, unless its name says attitude (rad).
 

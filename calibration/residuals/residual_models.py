@@ -114,7 +114,7 @@ class LearntResidual:
         return self.model.predict(self.inputs(joints, conditions))
 
     def faster(self) -> LearntResidual:
-        """Return a faster version of this residual for control loops (see `Bpnn.fast`), or itself if there is none."""
+        """Return a faster version of this residual for control loops (see `Bpnn.fast`), or else this residual."""
         faster = getattr(self.model, "faster", None)
         return self if faster is None else replace(self, model=faster())
 
