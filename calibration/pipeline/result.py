@@ -60,7 +60,7 @@ class Result:
         train: The rows that the calibration was fitted to.
         test: The held-out rows. If rows were held out block by block, these are all rows, ordered by block.
         held_out: Errors on the held-out rows.
-        quality: The verdict and the findings behind it.
+        quality: The verdict and the findings that it comes from.
         uncertainty: Uncertainty of predicted poses.
         base_frame: Interval of the error in the robot's own base frame; None if base and tool were known.
         terms: The chosen terms and the errors of each candidate; None if terms were not chosen from the rows.
@@ -181,8 +181,8 @@ class Result:
         """95 % interval of the arm's own mean error in the instrument's frame, mm; None if there are too few rows.
 
         The upper end is that of the interval for the mean held-out error. If poses or positions were measured, the
-        instrument's noise is subtracted from the lower end. A held-out error contains this noise, the error of the arm
-        does not.
+        instrument's noise is subtracted from the lower end, because a held-out error contains this noise and the arm's
+        own error does not.
         """
         if self.best.mean_ci95 is None:
             return None
@@ -300,9 +300,9 @@ class Result:
         return write_calibration_report(path, self, seeds)
 
     def summary(self) -> str:
-        """Return the most important results as text of at most 22 lines of 100 characters; `report` has the rest.
+        """Return the most important results as text of at most 22 lines of 100 characters; `report` returns all.
 
-        These are the verdict, cautions before use, held-out errors, and the expected errors where the arm will work.
+        They are the verdict, cautions before use, held-out errors, and the expected errors where the arm will work.
         """
         width = screen_width()
         lines = self._verdict_lines()

@@ -396,7 +396,7 @@ def calibrate(
             of poses or positions are grouped into set-ups by their rows. For other kinds of measurement, files that
             share a description are then one data set, and each data set has its own base and tool.
         test: Rows to judge by; if None, some rows of ``data`` are held out.
-        split: How rows of ``data`` are held out. "random" holds some rows out and fits the calibration to the others.
+        split: How rows of ``data`` are held out. "random" holds some rows out and fits to all other rows.
             "blocked" holds out each of ten contiguous blocks of rows in turn. Each block is judged by a model that is
             fitted and chosen without it. The calibration itself is fitted to all rows. Pictures are always held out
             by blocks, and so are fewer than 40 poses unless ``test_rows`` is given. Up to 60 pictures, or 20 poses, are

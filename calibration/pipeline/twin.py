@@ -200,7 +200,7 @@ def _never_told(calibration: Calibration) -> list[str]:
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
-    """Return a plant's layout of k coefficients, and the matrix ``(k, t)`` that computes them from t of the terms."""
+    """Return a plant's layout of k coefficients, and the matrix ``(k, t)`` from the terms' t coefficients to these."""
     sizes = [len(term.names(geometry)) for term in terms]
     units = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))  # the last part is empty
     harmonics, moments, up = [], [], (0.0, 0.0, 1.0)
@@ -219,10 +219,10 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
 def _moments(
     term: GravityTerm | ComplianceTerm, geometry: Geometry
 ) -> tuple[list[tuple[int, int, str]], Array, tuple[float, float, float]]:
-    """Return the k moments that bend the joints, their sizes per coefficient of the term ``(k, t)``, and the way up.
+    """Return the k moments that bend the joints, their sizes per coefficient of the term ``(k, t)``, and where up is.
 
-    A moment is a joint, a link (both from 0) and a letter, as in `GravityTerm.moments`. The way up is a unit vector in
-    the axes of frame 0.
+    A moment is a joint, a link (both from 0) and a letter, as in `GravityTerm.moments`. The direction up is a unit
+    vector in the axes of frame 0.
 
     Raises:
         InputError: If the term needs measured torques.
