@@ -218,9 +218,9 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
         data: The rows that were fitted.
 
     Returns:
-        For each set-up: its number, its files, its number of rows, and those of its frames ("base", "tool") that differ
-        from the first set-up's. Each such frame comes with its distance from the first set-up's, mm and deg. The list
-        is empty if there is only one file.
+        For each set-up: its number from 1, its files, its count of rows, and which of its frames ("base", "tool")
+        differ from the first set-up's. Such a frame comes with its distance from the first set-up's, mm and deg. The
+        list is empty if there is only one file.
     """
     rows: list[dict[str, Any]] = []
     for station in data.stations or (measurements.InstrumentStation(data),):
@@ -239,7 +239,8 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
 
     Args:
         set_ups: The set-ups as `set_ups_of` gives them.
-        asked: Which frames differ from file to file, as the caller stated. None if this was decided from the rows.
+        asked: Which frames differ from file to file, as the caller stated, such as "base,tool". None if this was
+            decided from the rows.
     """
     rows = []
     for set_up in set_ups:
@@ -328,6 +329,7 @@ def said_against(found: Identification, data: Observations) -> Said:
 
 
 def _link(found: Identification, prior: PriorModel) -> Iterator[str]:
+    """Yield a caution if a link parameter lies more than `PART_OFF` tolerance widths from its nominal value."""
     names, change = prior.parameters.names, prior.start.difference(found.arm_model)[prior.parameters.columns]
     std = dict(zip(found.identifiability.names, np.nan_to_num(found.standard_deviation), strict=True))
     least = np.abs(change) - SURE_BY * np.array([std[name] for name in names])
@@ -362,7 +364,7 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
 
 
 def _region(found: Identification, data: Observations) -> Iterator[str]:
-    """Yield a caution if a step at some value of one joint explains most of the fit's squared residuals."""
+    """Yield a caution if a step of the errors at some value of one joint explains most of the squared residuals."""
     if len(data.joints) < len(STEPS) or data.poses is None:
         return
     misses = data.misses(found.arm_model, unknowns_of(found, data))
@@ -378,7 +380,14 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
 
 
 def _step(values: Array, misses: Array) -> tuple[float, float, float]:
-    """Return the largest share of squared residuals that a step explains, the joint's value there, and its size, m."""
+    """Return the largest share of squared errors that a step explains, the joint's value at the step, and its size, m.
+
+    Above and below a step, the mean errors differ.
+
+    Args:
+        values: Values of one joint ``(N,)``, rad or m.
+        misses: Measured minus predicted positions ``(N, 3)``, m.
+    """
     best = (0.0, 0.0, 0.0)
     for at in np.quantile(values, STEPS).tolist():
         above = values > at

@@ -65,8 +65,8 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
 
     Args:
         errors: Error vectors ``(N, k)``, or norms ``(N,)``; for norms, ``axis_rms`` is empty.
-        blocks: Number of the block of rows that each error belongs to ``(N,)``, if errors of one block are correlated.
-            The intervals are then computed from the differences between blocks.
+        blocks: For each error, an integer that is the same for all errors of one block of rows ``(N,)``; None if errors
+            are independent. Errors of one block are correlated, so intervals come from differences between blocks.
 
     Raises:
         ValueError: If there are no errors or some are not finite.
@@ -97,7 +97,7 @@ def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -
 
     Args:
         values: The values ``(N,)``.
-        blocks: Number of the block that each value belongs to ``(N,)``.
+        blocks: For each value, an integer that is the same for all values of one block ``(N,)``.
         rms: Whether to compute the interval of the root mean square. It is then computed from logarithms, which are
             less skewed. The result is None if blocks differ by more than `MOST_APART`.
     """

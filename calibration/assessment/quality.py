@@ -92,7 +92,7 @@ class Completeness:
 
 
 def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
-    """Apply the chi^2 test to an identification; ``noise`` is the term for the noise in sentences."""
+    """Apply the chi^2 test to an identification; ``noise`` names the noise in sentences, such as "stated noise"."""
     chi_square, freedom = found.chi_square, found.degrees_of_freedom  # without spare equations SciPy's law gives NaN
     large, small = float(stats.chi2.sf(chi_square, freedom)), float(stats.chi2.cdf(chi_square, freedom))
     return Completeness(chi_square, freedom, large, small, noise)
@@ -265,7 +265,7 @@ def workspace_error(
         region: Name of the workspace.
         remains: RMS error on held-out rows, m.
         between: For a whole robot (a tree of links), indices of the two links between which each row was measured
-            ``(N, 2)``. The workspace's joints are assigned to the same pairs of links in turn.
+            ``(N, 2)``, from 0, with -1 for the world. The workspace's joints are assigned to the same pairs in turn.
     """
     if solution.prior is None or not solution.prior.proper:
         return None
@@ -282,7 +282,11 @@ def workspace_error(
 def _region(
     region: str, solution: Identification, nominal: Geometry, joints: Array, between: NDArray[np.int64]
 ) -> RegionError:
-    """Compute expected errors over joints ``(M, n)``, rad or m, without terms, whose conditions are unknown there."""
+    """Compute expected errors of the geometry alone: terms depend on conditions, which are unknown in a region.
+
+    The region has the name ``region`` and is represented by ``joints`` ``(M, n)``, rad or m. For a whole robot,
+    ``between`` ``(M, 2)`` holds the two links between which each pose is computed; for a single chain it is -1.
+    """
     prior, fitted = solution.prior, solution.geometry
     assert prior is not None
     names = solution.identifiability.kept_names
@@ -323,7 +327,7 @@ def _size(errors: Array) -> tuple[float, tuple[float, float]]:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """The quality of a calibration: its grade, with the findings and tests behind it.
+    """The quality of a calibration: its grade, with the findings and tests that the grade comes from.
 
     Attributes:
         grade: The verdict.
@@ -381,8 +385,8 @@ def grade_quality(
         geometric: The identification of the geometry alone, from which observability is computed; ``found`` if None.
         parametric: Held-out errors without a learnt residual, to be compared with ``trained``; ``after`` if None.
         noise: Words for the instrument's noise in sentences.
-        blocks: Number of the block of rows (or of the single row) that each held-out error belongs to ``(M,)``. It is
-            needed if errors of one block or row are correlated.
+        blocks: For each held-out error, an integer that is the same for all errors of one block of rows, or of one row
+            ``(M,)``. It is needed if these errors are correlated; None if all errors are independent.
         said: Further findings, each a weight and a sentence.
         unit: The unit in which errors are shown: "mm", or "deg" if the errors are angles in rad.
         rows: Number of held-out rows, and the word for them in sentences. If None, the number of errors and "rows".
@@ -425,6 +429,7 @@ def grade_quality(
 
 
 def _rms(errors: Array, unit: str) -> float:
+    """Return the RMS norm, in ``unit`` ("mm" or "deg"), of errors ``(M, k)``, m or rad; three columns count at most."""
     return float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) * MISS_UNITS[unit]
 
 
@@ -457,12 +462,19 @@ def no_gain(
 
 
 def _undecided(before: Array, after: Array, blocks: Rows | None) -> bool:
-    """Return whether the calibrated arm is not significantly better than the nominal arm on held-out rows."""
+    """Return whether the calibrated arm is not significantly better than the nominal arm on held-out rows.
+
+    The arguments are those of `no_gain`.
+    """
     return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:
-    """Return a clause that names the likely reason why a calibration is no improvement, and the remedy."""
+    """Return a clause that names the likely reason why a calibration is no improvement, and the remedy.
+
+    Held-out errors ``(M, k)``, m or rad, are ``before`` for the nominal arm, ``after`` for the calibrated arm, and
+    ``unlearnt`` for the calibrated arm without a learnt residual. ``unit`` is "mm" or "deg".
+    """
     was, now, plain = (_rms(errors, unit) for errors in (before, after, unlearnt))
     if found.arm_model.terms and plain > was:
         return "the further terms do not carry over to rows held out; give `terms='none'`"
@@ -478,7 +490,8 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
 def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
     """Compute the p-value of the gain from ``before`` to ``after``; the null hypothesis is that both arms are equal.
 
-    The test is a one-sided paired t test over poses, or over blocks if they are given.
+    The test is a one-sided paired t test over errors, or over blocks if they are given. The arguments are those of
+    `no_gain`.
     """
     gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
     if blocks is not None:
@@ -493,6 +506,10 @@ def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
 def _cautions(
     found: Identification, trained: Array, after: Array, workspace: Workspace | None, unit: str
 ) -> Iterator[str]:
+    """Yield sentences of weight "caution" on the workspace, large held-out errors, and too few equations.
+
+    ``trained`` are the errors on fitted rows, ``after`` those on held-out rows, both without a learnt residual.
+    """
     if workspace is not None and workspace.reservation is not None:
         yield workspace.reservation
     tested, fitted = _rms(after, unit), _rms(trained, unit)

@@ -47,7 +47,7 @@ def error_cells(errors: ErrorStatistics) -> tuple[str, ...]:
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a table's cell is a number, which is then aligned to the right."""
+    """Return whether a table's cell begins like a number; such cells are aligned to the right."""
     return cell[:1] in tuple("+-0123456789")
 
 
@@ -79,6 +79,7 @@ class Block:
         return "\n".join(folded(self.title + (f": {self.note}" if self.note else ""), width) + self._lines(width))
 
     def _lines(self, width: int) -> list[str]:
+        """Return the lines of header and cells, at most ``width`` characters wide if words can be broken so."""
         columns = list(zip(*self.rows, strict=True))
         heads = self.header or ("",) * len(columns)
         numeric = [bool(self.header) and is_number(cells[0]) for cells in columns]
@@ -109,7 +110,7 @@ def over(sizes: Sequence[int], width: int) -> int:
 
 
 def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
-    """Return the unit in which a parameter is shown, and the factor to it from SI.
+    """Return the unit in which a parameter is shown, and the factor from SI to this unit.
 
     Coefficients of terms are shown in SI units.
 
@@ -141,7 +142,8 @@ OWN = (
 def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
     """Return the identified harmonics of the drives as values for JSON, the largest first.
 
-    Orders, in cycles per turn, and amplitudes, in deg or mm, come with their standard deviations.
+    Joints are numbered from 1. Orders, in cycles per turn, and amplitudes, in deg or mm, come with their standard
+    deviations.
     """
     geometry, rows = found.geometry, []
     for joint, order, order_std, amplitude, amplitude_std in harmonics_of(found):
@@ -177,8 +179,8 @@ NOTE = (
 def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, Any]]:
     """Return the identified stiffness of each joint as values for JSON, with its standard deviation.
 
-    Stiffnesses are in N*m/rad for revolute joints, in N/m for prismatic ones. If torques were measured, their RMS is
-    given too, in N*m or N, and the RMS of the part that the arm's own weight does not explain.
+    Joints are numbered from 1. Stiffnesses are in N*m/rad for revolute joints, in N/m for prismatic ones. If torques
+    were measured, their RMS is given too, in N*m or N, and the RMS of the part that the arm's weight does not explain.
 
     Args:
         found: The identification.

@@ -82,7 +82,7 @@ def write_lens(lens: Lens, path: str | Path) -> Path:
 
 
 def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array:
-    """Return the numbers of a matrix as a flat array, from the first of ``names`` that the file has."""
+    """Return the numbers of a matrix as a flat array, from the first of ``names`` in the file's content ``found``."""
     entry = next((found[name] for name in names if name in found), None)
     values = entry.get("data") if isinstance(entry, dict) else entry
     try:
@@ -95,6 +95,7 @@ def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array
 
 
 def _size(path: Path, found: dict[str, Any], side: str) -> int:
+    """Return the size of the lens' pictures, px, from the file's content; ``side`` is "width" or "height"."""
     value = found.get(f"image_{side}")
     if not isinstance(value, int) or value < 1:
         raise InputError(f"{path}: 'image_{side}' is missing; give the size of the pictures that the lens is for")
@@ -375,7 +376,7 @@ def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike
         count: Number of corners on the board.
         numbers: Indices of the corners that the picture shows ``(N,)``, from 0.
         places: Pixels of these corners ``(N, 2)``.
-        std: Standard uncertainty of each, px: ``(N,)`` or one number for all.
+        std: Standard uncertainty of each corner's coordinates, px: ``(N,)`` or one number for all.
     """
     pixels, seen, stds = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
     numbers = np.asarray(numbers, dtype=np.int64)
@@ -415,7 +416,10 @@ def picture_noise(grey: Array) -> float:
 
 
 def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
-    """Return the numbers ``(N,)`` and pixels ``(N, 2)`` of the corners found in a picture; empty if none is found."""
+    """Return the indices, from 0, ``(N,)`` and pixels ``(N, 2)`` of the board's corners found in a picture.
+
+    Both are empty if none is found.
+    """
     cv2 = opencv()
     none = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     if board.kind == "chessboard":
@@ -437,6 +441,11 @@ def _upright(picture: Grey, places: Array, inner: tuple[int, int]) -> Array:
     """Return a chessboard's corners ``(K, 2)``, px, in the order that begins at the board's black outer square.
 
     If the outer square at OpenCV's first corner is white, OpenCV's order is reversed.
+
+    Args:
+        picture: Grey values ``(h, w)``.
+        places: Pixels of the inner corners in OpenCV's order ``(K, 2)``.
+        inner: Number of inner corners along x and along y.
     """
     grid = places.reshape(inner[1], inner[0], 2).astype(float)
     right, down = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
@@ -446,12 +455,16 @@ def _upright(picture: Grey, places: Array, inner: tuple[int, int]) -> Array:
 
 
 def _grey_at(picture: Grey, place: Array) -> float:
+    """Return the grey value of a picture at the pixel nearest to ``place`` (x, y), px."""
     x, y = np.clip(np.rint(place).astype(int), 0, np.array(picture.shape)[::-1] - 1)
     return float(picture[y, x])
 
 
 def _tag_corners(dictionary: str, picture: Grey) -> tuple[NDArray[np.int64], Array]:
-    """Return numbers ``(N,)`` and pixels ``(N, 2)`` of the corners of all markers of a dictionary in a picture."""
+    """Return numbers ``(N,)`` and pixels ``(N, 2)`` of the corners of all markers of a dictionary in a picture.
+
+    The corners of marker k (from 0), clockwise as OpenCV finds them, have the numbers 4 k to 4 k + 3.
+    """
     cv2 = opencv()
     how = cv2.aruco.DetectorParameters()
     how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX

@@ -115,11 +115,15 @@ class TruncatedSolver:
         return solution
 
     def _in_doubt(self, values: Sequence[Scalar]) -> Scalar:
-        """Return the values of the doubtful poses ``(k, len(values))``; plain numbers are repeated for each pose."""
+        """Return the components ``values`` at the k doubtful poses ``(k, len(values))``.
+
+        At a doubtful pose it is unclear which singular values are to be cut off, so a singular value decomposition is
+        used there. Components that are plain numbers are repeated for each pose.
+        """
         return self._m.stack([(self._zeros + value)[self.doubtful] for value in values], 1)
 
     def _solve(self, right: Sequence[Scalar]) -> list[Scalar]:
-        """Solve L D L^T x = right with the stored factors."""
+        """Return the solution x of L D L^T x = right, as n components, with the stored factors of J^T J."""
         lower, inverse_diagonal = self._factors
         values = [value * inverse for value, inverse in zip(_forward(lower, right), inverse_diagonal, strict=True)]
         for i in reversed(range(len(values))):
@@ -129,12 +133,13 @@ class TruncatedSolver:
 
 
 def _dot(one: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
-    """Return the scalar product of two lists of components; products with plain zeros are left out."""
+    """Return the scalar product of two lists of components; products with the float 0.0 are not computed."""
     terms = [a * b for a, b in zip(one, other, strict=True) if not (_is_zero(a) or _is_zero(b))]
     return sum(terms[1:], terms[0]) if terms else 0.0
 
 
 def _is_zero(value: Scalar) -> bool:
+    """Return whether a component is the float 0.0, not an array."""
     return isinstance(value, float) and value == 0.0
 
 
@@ -281,10 +286,10 @@ class Compensator:
         return joints
 
     def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
-        """Compile this map to machine code for repeated calls with ``count`` targets ``(count, n)``.
+        """Return this map compiled to machine code, for repeated calls with ``count`` targets ``(count, n)``.
 
-        The results are equal up to rounding. There is no machine code for single precision; the compensator itself is
-        then returned.
+        Compiled and plain map give equal commands up to rounding. There is no machine code for single precision; the
+        compensator itself is then returned.
 
         Raises:
             MissingExtra: If llvmlite is not installed.
@@ -321,6 +326,7 @@ class Compensator:
 
     @cached_property
     def _chains(self) -> tuple[Chain, Chain]:
+        """The nominal and the identified geometry as chains for the forward kinematics."""
         return chain_of(self.nominal), chain_of(self.identified)
 
     def _block(self, rows: Array) -> Array:
@@ -330,7 +336,7 @@ class Compensator:
         return np.asarray(np.clip(rows + correction, self.nominal.lower, self.nominal.upper))
 
     def _within_limits(self, m: ModuleType, joints: Sequence[Scalar]) -> list[Scalar]:
-        """Clip joints to their limits, since the best candidate may be a target beyond the limits."""
+        """Return joints clipped to their limits, since a command may be a target beyond the limits."""
         limits = zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
         return [clipped(m, q, *limit) for q, limit in zip(joints, limits, strict=True)]
 
@@ -341,7 +347,13 @@ class Compensator:
 
 
 def _learnt(m: ModuleType, residual: Residual, joints: Sequence[Scalar]) -> list[Scalar]:
-    """Return the six components of the learnt residual at joints: numbers, or arrays ``(N,)``."""
+    """Return the six components of the learnt residual at joints: numbers, or arrays ``(N,)``.
+
+    Args:
+        m: ``math`` for numbers, ``numpy`` for arrays, or the module that records operations for machine code.
+        residual: The residual.
+        joints: The joints: n components, rad or m.
+    """
     if m is math:
         return list(residual(np.array(joints)).tolist())
 
@@ -442,7 +454,10 @@ Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
 
 
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
-    """Return a function that computes joint steps which remove pose errors, for this Jacobian or one close to it."""
+    """Return a function that computes joint steps, n components, which remove pose errors.
+
+    The function's arguments are the error, six components, and the columns of this Jacobian or of one close to it.
+    """
     if m is not math:
         return TruncatedSolver(columns, m).solve
     root = truncated_inverse(np.array(columns).T)

@@ -63,16 +63,18 @@ zero is the table's joint values (n,), rad or m, at the pose where all joints of
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """A joint axis: a point on it, its direction, and whether the joint slides."""
+    """A joint axis: a point on it, m, its direction (a unit vector), and whether the joint slides."""
 
     point: Array
     direction: Array
     slides: bool
 
     def turned(self, sign: float) -> _Axis:
+        """Return this axis with its direction multiplied by ``sign``, 1 or -1."""
         return _Axis(self.point, sign * self.direction, self.slides)
 
     def moved(self, by: Pose) -> _Axis:
+        """Return this axis after the rigid motion ``by``."""
         return _Axis(by.position + by.rotation @ self.point, by.rotation @ self.direction, self.slides)
 
     def apart(self, other: _Axis) -> tuple[float, float]:
@@ -81,6 +83,7 @@ class _Axis:
         return (0.0 if self.slides else float(np.linalg.norm(_across(self.point - other.point, other)))), turned
 
     def same(self, other: _Axis) -> bool:
+        """Return whether two axes are equal within `NEAR` and `TURNED`."""
         near, turned = self.apart(other)
         return near <= NEAR and turned <= TURNED
 
@@ -129,6 +132,7 @@ def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameC
 
 
 def _axes(geometry: Geometry) -> list[_Axis]:
+    """Return the axis of each link's joint in the world, with all joints at zero."""
     links = zip(link_frames(geometry, np.zeros(geometry.joints)), geometry.slides, strict=True)
     return [_Axis(pose.position, pose.rotation[:, 2], slides) for pose, slides in links]
 
@@ -138,15 +142,20 @@ def _fits(
 ) -> Iterator[SameChain]:
     """Yield the relations (root, signs, zeros) under which all axes of both chains agree, the simplest first.
 
-    ``worst`` is filled with the smallest distance and angle by which each joint's axes missed in attempts that failed.
+    Args:
+        arm: The arm's geometry before its calibration.
+        mine: The axes of the arm's DH table.
+        theirs: The axes of the file.
+        worst: For each joint, from 0, the smallest distance, m, and angle, rad, by which its two axes missed each other
+            in attempts that failed. It is filled here.
     """
     n, free = len(mine), arm.coupling is None
     signs = (1.0, -1.0) if free else (1.0,)
 
     def further(i: int, by: Pose, sign: list[float], zero: list[float]) -> Iterator[tuple[list[float], list[float]]]:
-        """Yield signs and zeros with which axes i and later agree too, if axes 0 to i - 1 do.
+        """Yield signs and zeros with which axis i (from 0) and all later axes agree, if axes 0 to i - 1 agree.
 
-        ``by`` is the motion so far of all axes after axis i - 1.
+        ``by`` is the motion that earlier joints gave to axis i - 1 and all later axes.
         """
         if i == n:
             yield sign, [*zero, 0.0]
@@ -172,10 +181,15 @@ def _fits(
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
     """Yield candidate roots, which make the first axes of both chains equal.
 
-    They are the identity, if the first axes agree with it; the best fit of all axes; and the first axis of the table
-    put on that of the file. This last one leaves a shift along the axis and a turn about it. The first later axis that
-    is not parallel fixes the shift, and the second axis the turn. If the arm begins with a prismatic joint, only the
-    first two are tried; in these, joints have equal readings in both chains.
+    The first candidate is the identity, if it makes them equal. The second is the best fit of all axes. The other ones
+    put the first axis of the table on that of the file. They leave a shift along the axis, which the first later axis
+    that is not parallel fixes, and a turn about it, which the second axis fixes. If the arm begins with a prismatic
+    joint, only the first two candidates are tried; with these, joints have equal readings in both chains.
+
+    Args:
+        mine: The axes of the arm's DH table.
+        theirs: The axes of the file.
+        turn: Sign of the first joint, 1 or -1.
     """
     target = theirs[0].turned(turn)
     if mine[0].same(target):
@@ -198,7 +212,8 @@ def _height(axes: list[_Axis]) -> float:
     """Compute the position along the first axis, m from the axis's point, at which the chain leaves this axis.
 
     The position is the foot of the common normal of two axes: the last one parallel to the first axis, and the next
-    one. It does not depend on joint values. It is 0 if all axes are parallel, or if a prismatic joint comes before.
+    one. It does not depend on joint values. It is 0 if all axes are parallel, or if the first axis that is not parallel
+    is that of a prismatic joint or comes after one.
     """
     first = axes[0]
     for last, following in itertools.pairwise(axes):
@@ -213,7 +228,10 @@ def _height(axes: list[_Axis]) -> float:
 
 
 def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
-    """Fit the root to all axes by least squares, directions first, then positions, at equal joint readings."""
+    """Fit the root to all axes by least squares, directions first, then positions, at equal joint readings.
+
+    ``mine`` are the axes of the arm's DH table, ``theirs`` those of the file.
+    """
     with warnings.catch_warnings():  # parallel axes leave it open; another root is tried then
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         turn = Rotation.align_vectors([axis.direction for axis in theirs], [axis.direction for axis in mine])[0]
@@ -248,7 +266,7 @@ def _across(vector: Array, axis: _Axis) -> Array:
 
 
 def _along(axis: _Axis, value: float) -> Pose:
-    """Return the motion of the link behind a joint's axis when the joint moves by ``value``, rad or m."""
+    """Return the rigid motion of the link that a joint moves when the joint moves by ``value``, rad or m."""
     if axis.slides:
         return Pose(value * axis.direction, np.eye(3))
     turn = Rotation.from_rotvec(value * axis.direction).as_matrix()
@@ -331,7 +349,7 @@ def _moved_origins(
     signs: Sequence[float],
     corrected: Mapping[str, Pose],
 ) -> tuple[list[Pose], Pose, Pose]:
-    """Compute the corrected origins of a file's joints, and the pose after the last joint without and with correction.
+    """Compute the corrected origins of a file's joints.
 
     Args:
         before: Poses of the arm's links in the file's root, at the file's zero, before the calibration.
@@ -339,6 +357,9 @@ def _moved_origins(
         joints: The joints of the file.
         signs: 1 or -1 for each link, the direction of its motion in the table relative to the file.
         corrected: Origins that are already corrected, by the joint's name.
+
+    Returns:
+        The origins, then the pose of the last joint's link in the file's root without and with correction.
     """
     links = links_of(joints)
     places = {joint.name: place for place, link in enumerate(links) for joint in link}
@@ -365,7 +386,13 @@ def _moved_origins(
 
 
 def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
-    """Return whether a link's place along its axis is arbitrary: its joint is revolute and the next axis parallel."""
+    """Return whether a link's place along its axis is arbitrary: its joint is revolute and the next axis parallel.
+
+    Args:
+        before: Poses of all links.
+        link: Index of the link, from 0.
+        joint: The link's joint in the file.
+    """
     if joint.slides or link + 1 == len(before):
         return False
     axis, following = (pose.rotation[:, 2] for pose in before[link : link + 2])
@@ -373,7 +400,13 @@ def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
 
 
 def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
-    """Return the pose of a file's joint in its link's frame, put exactly on the z axis to undo the file's rounding."""
+    """Return the pose of a file's joint in its link's frame, put exactly on the z axis to undo the file's rounding.
+
+    Args:
+        laid: The pose as the file gives it.
+        joint: The joint.
+        sign: 1 or -1, the direction of the joint's motion in the table relative to the file.
+    """
     axis = laid.rotation @ joint.axis
     turn = Rotation.align_vectors(sign * Z[None], axis[None])[0].as_matrix()
     position = laid.position if joint.slides else Z * laid.position[2]
@@ -477,10 +510,10 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
-    """Compute the new pose of an element in a file, if the fixed elements before it keep their poses.
+    """Compute an element's new pose in a file, if the fixed elements from the previous joint to it keep their poses.
 
     Args:
-        own: The element's pose in the file, relative to the element before it.
+        own: The element's pose in the file, relative to its parent element.
         whole: The element's pose relative to the previous joint, that is composed with the fixed elements in between.
         corrected: The new pose relative to the previous joint.
     """
@@ -510,7 +543,10 @@ def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Po
 
 
 def _readings(calibration: Calibration, own: JointRow, same: SameChain) -> Iterator[str]:
-    """Yield a sentence that names joints whose readings in the file differ from the arm's table, if there are any."""
+    """Yield a sentence that names joints whose readings in the file differ from the arm's table, if there are any.
+
+    ``own`` are the file's joints, and ``same`` is the relation of the table to the file.
+    """
     drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
     readings = [
         f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"

@@ -60,7 +60,7 @@ class Order:
     def arm_of(self, calibration: Calibration) -> Arm:
         """Return the calibration's arm with its joint speeds, which a calibration does not hold.
 
-        It is the arm that was given, or else the shipped arm of the calibration's name.
+        It is `arm`, or, if that is None, the shipped arm with the calibration's name.
 
         Raises:
             InputError: If another arm was given, or if none was given and no shipped arm equals the calibration's.
@@ -130,7 +130,7 @@ class StartTag:
         attributes: Values of its attributes by name.
         start: Index in the text of the tag's first byte, its ``<``.
         end: Index of the byte after its ``>``.
-        parent: Index, in the list of `start_tags`, of the element around it; None for the root.
+        parent: Index, in the list of `start_tags`, of the enclosing element; None for the root.
     """
 
     name: str
@@ -191,7 +191,13 @@ def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, in
 
 
 def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> list[Edit]:
-    """Return the edits that set attributes of a start tag; attributes that the tag lacks are added at the tag's end."""
+    """Return the edits that set attributes of a start tag; attributes that the tag lacks are added at the tag's end.
+
+    Args:
+        data: The text.
+        tag: The tag.
+        values: The new values by the attributes' names.
+    """
     spans, after = attribute_spans(data, tag)
     new = "".join(f' {name}="{value}"' for name, value in values.items() if name not in spans)
     edits = [(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]

@@ -54,8 +54,8 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
     """Build the ONNX model of a network: inputs (sine and cosine of joints that turn far), two scalings, and layers.
 
     Args:
-        learnt: The learnt residual; its inputs hold the first standardisation.
-        network: Its network, with the second standardisation and the layers.
+        learnt: The learnt residual, of which ``learnt.inputs`` holds the first scaling.
+        network: The learnt residual's network, which holds the second scaling and the layers.
         geometry: The arm.
         words: Lines of the model's documentation.
     """
@@ -183,6 +183,7 @@ def _robot_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
 
 
 def _kind(robot_file: Path | None, out: Path) -> str:
+    """Return the exporter's name by the ending of the robot's own file or, without one, of the file to write."""
     endings, path = (BY_ENDING, out) if robot_file is None else (BY_OWN_ENDING, robot_file)
     if path.suffix == ".xacro":
         words = "is a xacro, which takes its numbers from elsewhere"

@@ -123,12 +123,13 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
     Args:
         nominal: The geometry.
         joints: Joint values ``(N, n)``, rad or m.
-        rows: The components of a pose difference that count.
-        columns: The parameters of base and tool that were fitted.
+        rows: Slice of the components of a pose difference that count: the first 3, or all 6.
+        columns: Indices, from 0, of the parameters of base and tool that were fitted; empty if both are known.
 
     Returns:
         Three matrices. The first maps pose differences to the offsets that correct them, without the part that base and
-        tool can correct too. The second maps offsets to poses, the third parameters of base and tool to poses.
+        tool can correct too. The second maps changes of offsets to changes of poses. The third maps changes of the
+        parameters of base and tool to changes of poses.
     """
     count = len(joints) * rows.stop
     effect = joint_jacobian(nominal, joints)[:, rows].reshape(count, -1)
@@ -142,7 +143,10 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
 
 
 def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: NDArray[np.int64]) -> Array:
-    """Compute standard deviations of the offsets (n,), rad or m, from the parameters' covariance; NaN if unknown."""
+    """Compute standard deviations of the offsets (n,), rad or m, from the parameters' covariance; NaN if unknown.
+
+    The other arguments are those of `_way`.
+    """
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(calibration.arm.joints, np.nan)
@@ -209,6 +213,8 @@ def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
 def lerobot_document(calibration: Calibration, order: document.Order) -> document.Document:
     """Make the robot's own LeRobot calibration file with corrected homing offsets; nothing else in it changes.
 
+    ``order`` holds the options of the export.
+
     Raises:
         InputError: If no such file is given or it is unusable. Also if a joint has no motor of its name, is prismatic
             or has drive_mode 1. Also if a homing offset is larger than the servo can hold.
@@ -260,8 +266,8 @@ TABLE_FORMAT = "pickenv joint offsets 1"
 def offset_table(calibration: Calibration, order: document.Order) -> document.Document:
     """Make a table of the offsets to add to joint readings, as CSV, or as JSON if the file ends in .json.
 
-    Offsets are in deg or mm. If encoder counts per turn are given, revolute joints also have their offset in whole
-    counts.
+    Offsets are in deg or mm. If ``order``, the options of the export, has encoder counts per turn, revolute joints also
+    have their offset in whole counts.
     """
     rows: list[dict[str, Any]] = []
     shift = joint_offsets(calibration)
@@ -279,7 +285,11 @@ def offset_table(calibration: Calibration, order: document.Order) -> document.Do
 def _table(
     rows: list[dict[str, Any]], out: Path, form: str, calibration: Calibration, notes: tuple[str, ...]
 ) -> document.Document:
-    """Make a document of rows: CSV below comment lines (None is an empty cell), or JSON if ``out`` ends in .json."""
+    """Make a document of rows: CSV below comment lines (None is an empty cell), or JSON if ``out`` ends in .json.
+
+    Each row is a dictionary with the same columns. ``form`` is the format's name and version, which stands in the
+    document's head beside the origin of the calibration and ``notes``.
+    """
     words = (*document.provenance(calibration), *notes)
     if out.suffix.lower() == ".json":
         content = {"format": form, "origin": list(words), "rows": rows}
@@ -298,7 +308,7 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
 
     A joint reports its raw reading minus its parameter "offset", rad or m. The reading must grow by the calibration's
     offset, so this offset is subtracted from the joint's parameter. A new file holds the joints alone, without the ids
-    of servos.
+    of servos. ``order`` holds the options of the export.
 
     Raises:
         InputError: If the description is unusable, or a joint is not in it.
@@ -360,7 +370,8 @@ def dh_table(calibration: Calibration, order: document.Order) -> document.Docume
     """Make a table of the DH parameters before and after calibration, as CSV, or as JSON if the file ends in .json.
 
     Angles are in deg, lengths in mm. Parameters are given for the modified and for the standard convention. A
-    parameter that was not identified keeps its nominal value and has no standard deviation.
+    parameter that was not identified keeps its nominal value and has no standard deviation. ``order`` holds the options
+    of the export.
     """
     notes = (KEPT, *document.left_out(calibration, "not in the table, because no geometry can hold it"))
     sure = uncertainty_from(calibration.record)
@@ -385,7 +396,11 @@ def _parameters(geometry: Geometry) -> dict[str, float]:
 
 
 def _table_rows(geometry: Geometry) -> Iterator[tuple[str, int, str, str]]:
-    """Yield table, row number, joint and parameter of each row; parameters are named as in the modified table."""
+    """Yield the table's name, row number, joint and parameter of each row of the modified and the standard table.
+
+    Rows of links are numbered from 1; row 0 of the standard table is the base. Base and tool follow as own tables.
+    Parameters are named as in the modified table.
+    """
     for table, shift in (("modified", 0), ("standard", 1)):
         for i, joint in enumerate(geometry.link_names):
             for kind in LINK_PARAMETERS:

@@ -51,7 +51,7 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
     """Write the corrected arm as a new arm file, with the base and tool of the calibration.
 
     Hayati's beta (``beta_deg``) is written only for joints where it is not zero. A link that follows another joint is
-    written as a joint table with ``follows`` and ``ratio``.
+    written as a joint table with ``follows`` and ``ratio``. ``order`` holds the options of the export.
 
     Raises:
         InputError: If a joint that turns moves only links that slide, or the other way round (a rack and its pinion).
@@ -91,9 +91,10 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
 
 
 def _leading_tables(geometry: Geometry) -> list[int]:
-    """Return, for each joint, the index of the link whose table in the file represents the joint.
+    """Return, for each joint, the index (from 0) of the link whose table in the file represents the joint.
 
-    It is a link that moves exactly as the joint does, or else the first one of the joint's kind that moves by a ratio.
+    It is a link that moves exactly as the joint does. If there is none, it is the joint's first link of the joint's
+    kind (revolute or prismatic), which moves by a ratio.
     """
     leaders = []
     for joint, leader in enumerate(leading_links(geometry)):
@@ -128,7 +129,8 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     """Write the calibrated joint origins into the robot's own URDF, or write a new URDF with rods as links.
 
     The rods lead from the robot's own base to the tool. If base and tool were fitted, they belong to the instrument and
-    are no part of the robot. Base and tool of a new URDF are then those of the arm before calibration.
+    are no part of the robot. Base and tool of a new URDF are then those of the arm before calibration. ``order`` holds
+    the options of the export.
 
     Raises:
         InputError: If the robot's file is unusable or of another arm, or if the new file would not find its meshes.
@@ -155,6 +157,7 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
 
 
 def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:
+    """Make a new URDF of the calibrated arm with rods as links; ``arm`` gives name and joint speeds."""
     text = urdf_text(calibration.in_own_base, f"{arm.name}_calibrated", arm.speed)
     declaration, _, body = text.partition("\n")
     words = document.xml_comment((*document.provenance(calibration), "written against URDF 1.0, as ROS 2 has it"))
@@ -193,16 +196,18 @@ def _behind_tip(
 
 
 def _joint(tags: list[document.StartTag], name: str) -> int:
-    """Return the index of the joint of that name that has a child link, unlike the joints named in transmissions."""
+    """Return the index in ``tags`` of the joint with this name that has a child link, unlike those in transmissions."""
     holders = {tag.parent for tag in tags if tag.name == "child"}
     return next(i for i, tag in enumerate(tags) if i in holders and tag.is_named("joint", name))
 
 
 def _origin_tag(tags: list[document.StartTag], joint: int) -> document.StartTag | None:
+    """Return the tag "origin" within the joint at index ``joint`` of ``tags``, or None."""
     return next((tag for tag in tags if tag.parent == joint and tag.name == "origin"), None)
 
 
 def _origin(tags: list[document.StartTag], joint: int) -> Pose:
+    """Return the origin in the file of the joint at index ``joint`` of ``tags``; without a tag, the identity."""
     tag = _origin_tag(tags, joint)
     values = {} if tag is None else tag.attributes
     position, rpy = (xml_numbers(values.get(key, "0 0 0"), key, unit.most) for key, unit in (("xyz", M), ("rpy", RAD)))
@@ -210,11 +215,15 @@ def _origin(tags: list[document.StartTag], joint: int) -> Pose:
 
 
 def _rpy(pose: Pose) -> str:
+    """Return a pose's orientation as the text of URDF's rpy: roll, pitch and yaw, rad."""
     return numbers_text(roll_pitch_yaw(np.asarray(pose.rotation)))
 
 
 def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) -> list[document.Edit]:
-    """Return the edits that give a joint a new origin; an unchanged position or attitude keeps its text."""
+    """Return the edits of the text ``data`` that give the joint at index ``joint`` of ``tags`` the origin ``new``.
+
+    An unchanged position or attitude keeps its text.
+    """
     values, tag = corrected_chain.changed(_origin(tags, joint), new, "xyz", "rpy", _rpy), _origin_tag(tags, joint)
     if tag is not None or not values:
         return [] if tag is None else document.attribute_edits(data, tag, values)
@@ -231,8 +240,9 @@ def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) ->
 def mjcf_document(calibration: Calibration, order: document.Order) -> document.Document:
     """Write the calibrated poses of bodies into the robot's own MJCF, or write new MJCFs with rods as links.
 
-    Without the robot's own file, the identified arm is written, and beside it the nominal arm (``…_nominal``). With
-    ``sample``, arms that are drawn from the posterior are written too (``…_1`` to ``…_n``).
+    ``order`` holds the options of the export. Without the robot's own file, the identified arm is written, and beside
+    it the nominal arm (``…_nominal``). With ``order.sample``, arms that are drawn from the posterior are written too
+    (``…_1`` to ``…_n``).
 
     Raises:
         InputError: If the robot's file is unusable or of another arm. Also if its bodies are in an included file, or if
@@ -279,6 +289,7 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
 
 
 def _new_mjcf(calibration: Calibration, order: document.Order) -> document.Document:
+    """Make new MJCFs with rods as links: the identified arm, and beside it the nominal arm and those of the sample."""
     arm = order.arm_of(calibration)
     plant = twin(calibration, arm, geometry_only=True)
     models = [("as calibrated", plant.geometry), ("nominal", arm.nominal)]
@@ -328,7 +339,11 @@ def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> d
 
 
 def _moved_body(data: bytes, tag: document.StartTag, values: MjcfValues, new: Pose) -> list[document.Edit]:
-    """Return the edits that give a body or site a new pose; an unchanged position or attitude keeps its text."""
+    """Return the edits of the text ``data`` that give the body or site of ``tag`` the pose ``new``.
+
+    An unchanged position or attitude keeps its text. ``values`` are the file's settings, such as its unit of angles, by
+    which the present pose is read.
+    """
     texts = corrected_chain.changed(values.pose(tag.attributes), new, "pos", "quat", _quaternion)
     orientation = next((key for key in ORIENTATIONS if key in tag.attributes), "quat")
     edits: list[document.Edit] = []
@@ -373,8 +388,8 @@ UR_TWISTS = (0.0, math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2)
 def kinematics_yaml_document(calibration: Calibration, order: document.Order) -> document.Document:
     """Write corrected origins into the robot's own kinematics YAML; its other lines and its hash do not change.
 
-    Without the robot's own file, a new one is written for ur_description's ``kinematics_params``. This needs a UR whose
-    DH table has the maker's link frames.
+    ``order`` holds the options of the export. Without the robot's own file, a new one is written for ur_description's
+    ``kinematics_params``. This needs a UR whose DH table has the maker's link frames.
 
     Raises:
         InputError: If the robot's file is unusable or of another arm. For a new file, if the arm's DH table does not
@@ -401,7 +416,9 @@ def _ur_values(origin: Pose) -> dict[str, float]:
 
 
 def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list[document.Edit]:
-    """Return the edits that give new numbers to a link's keys, which stand between its name and the next link's name.
+    """Return the edits of the text ``data`` that give new numbers, m or rad, to keys of the link ``name``.
+
+    ``values`` holds the numbers by key. The keys stand between the link's name and the next link's name.
 
     Raises:
         InputError: If the link lacks one of the keys.
@@ -431,6 +448,7 @@ def yaml_number(value: float) -> str:
 
 
 def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
+    """Make a new kinematics YAML of a UR; refuse an arm whose DH table does not have the link frames of a UR."""
     arm = calibration.arm
     plain = arm.links == len(UR_LINKS) and not any(arm.slides) and arm.coupling is None
     if not plain or not np.allclose(arm.alpha, UR_TWISTS, atol=1e-9) or np.abs(arm.a[[0, 1, 4, 5]]).max() > 1e-9:
@@ -467,10 +485,11 @@ def static_transforms(calibration: Calibration, order: document.Order) -> docume
     """Write a shell script that publishes two transforms in ROS 2: the measurement's frame and the calibrated tool.
 
     The measurement's frame is relative to the root of the robot's own URDF, the tool to the URDF's tip. Without a URDF,
-    they are relative to the arm's base and tool frames, which are then named base_link and tool0.
+    they are relative to the arm's base and tool frames, which are then named base_link and tool0. ``order`` holds the
+    options of the export.
 
     Raises:
-        InputError: If the file is unusable, of another arm or without named frames, or if ROS does not allow a name.
+        InputError: If the URDF is unusable, of another arm or without named frames, or if ROS does not allow a name.
     """
     path, names = order.onto, ("base_link", "tool0")
     measured = behind(calibration.arm.base, inverse_pose(calibration.identified.base))
@@ -500,6 +519,7 @@ def static_transforms(calibration: Calibration, order: document.Order) -> docume
 
 
 def _line(pose: Pose, frame: str, child: str) -> str:
+    """Return the shell command that publishes in ROS 2 the pose of frame ``child`` relative to ``frame``."""
     turn = Rotation.from_matrix(np.asarray(pose.rotation)).as_quat()
     numbers = np.concatenate([pose.position, turn]).tolist()
     values = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), numbers, strict=True))

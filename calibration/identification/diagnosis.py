@@ -77,7 +77,7 @@ def said_of_repeats(train: Observations, test: Observations) -> Said:
 
 
 def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
-    """Return indices of rows of ``other`` that copy rows of ``known``, and of the copied rows.
+    """Return indices, from 0, of rows of ``other`` that copy rows of ``known``, and the indices of the copied rows.
 
     Both are empty if chance can explain so few equal readings.
     """
@@ -102,13 +102,16 @@ def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
 
 
 def _nearest(known: Array, other: Array, within: float) -> Rows:
-    """Return the index of each ``other`` row's nearest row of ``known``; -1 if none has all coordinates ``within``."""
+    """Return, for each row of ``other`` ``(M, k)``, the index from 0 of the nearest row of ``known`` ``(N, k)``.
+
+    It is -1 if no row of ``known`` differs by at most ``within`` in every coordinate.
+    """
     _, nearest = KDTree(known).query(other, p=np.inf, distance_upper_bound=within * (1.0 + 1e-6) + 1e-12)
     return np.where(nearest < len(known), nearest, -1)
 
 
 def _digit(values: Array) -> float:
-    """Return the smallest decimal step, at least 1e-9, to which any of these numbers is written."""
+    """Return the largest decimal step (1, 0.1, …), at least 1e-9, of which all these numbers are multiples."""
     return next((10.0**-n for n in range(9) if np.allclose(values, np.round(values, n), rtol=0.0, atol=1e-10)), 1e-9)
 
 
@@ -237,7 +240,7 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
 
     Args:
         listed: The outliers, and other rows left out.
-        rows: Number of all rows.
+        rows: Count of all rows, those left out among them.
     """
     far = [item for item in listed if item.sigma is not None]
     if not far:
@@ -272,7 +275,7 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Sa
 
 
 def said_of_stations(found: Identification, data: Observations) -> Said:
-    """Yield a caution for each station with far larger residuals than the others, although its frames were fitted."""
+    """Yield a caution for each station whose residuals are far larger than the other stations', with fitted frames."""
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
     sizes = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
@@ -290,7 +293,11 @@ def said_of_stations(found: Identification, data: Observations) -> Said:
 
 
 def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observations, test: Observations) -> str:
-    """Return why most held-out rows do not fit: another unit, another place of base or tool, or something else."""
+    """Return why most held-out rows do not fit: another unit, another place of base or tool, or something else.
+
+    ``found`` is the robust fit to the training rows. ``scales`` are its robust standard deviations by channel ``(C,)``,
+    that is of one instrument's readings in one unit.
+    """
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
     scale, unit_name = MISS_UNITS[test.miss_unit], test.miss_unit
     away = f"{np.median(misses_of(found, test)) * scale:.3g} {unit_name}"
@@ -329,7 +336,7 @@ def mixed_unit(arm: Arm, sigma: Callable[[Measurements], Array], measurements: M
         arm: The arm.
         sigma: Function that returns the errors of rows ``(N,)``, in robust standard deviations.
         measurements: The rows.
-        rows: Indices of the outliers among them.
+        rows: Indices, from 0, of the outliers among the rows.
     """
     outliers = measurements.select(rows)
     explained = {words: float(np.mean(sigma(reading) < EXPLAINED)) for words, reading in _readings(arm, outliers)}
@@ -378,7 +385,7 @@ def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut
 
 
 def _blind_views(views: PixelObservations) -> dict[int, str]:
-    """Return the reasons why views are left out, by the view's index: too few corners, or all near one line.
+    """Return the reasons why views are left out, by the view's index from 0: too few corners, or all near one line.
 
     In a table of corners, a view without corners is the only one left out.
     """

@@ -53,7 +53,8 @@ def start_filter(
     Args:
         model: Candidate parameters; those that the poses do not identify are left out.
         start: Geometry, or geometry with terms, to start from.
-        joints: Joints ``(N, n)``, rad or m, of poses like those to be measured; they decide what is identifiable.
+        joints: Joints ``(N, n)``, rad or m, of poses like those to be measured. These poses decide which parameters are
+            identifiable.
         full_pose: False if only positions will be measured.
         prior: Prior standard deviation of each parameter, as a multiple of its tolerance.
 

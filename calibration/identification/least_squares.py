@@ -53,12 +53,12 @@ class Identification:
     Attributes:
         arm_model: The identified geometry, with the coefficients of its terms.
         unknowns: Identified values, by name, of the measurements' own unknowns, such as places of reflectors, anchors
-            and sockets, m.
+            and sockets, in SI units (a lens' numbers in px).
         identifiability: Which parameters were identified and which were dropped as redundant, and the kept parameters
             that have the same effects as the dropped ones.
-        delta: Identified minus starting parameters, m or rad, per parameter (0 for dropped ones).
-        covariance: Covariance of the kept parameters. It is that of the posterior if they have priors, else from the
-            residual's scatter; NaN if there are no more equations than parameters.
+        delta: Identified minus starting values, in the order of ``identifiability.names`` (0 for dropped parameters).
+        covariance: Covariance of the kept parameters, in the order of ``identifiability.kept_names``. It is that of the
+            posterior if they have priors, else from the residual's scatter; NaN if no equations are to spare.
         chi_square: Sum of squared whitened residuals.
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
@@ -99,21 +99,21 @@ class Identification:
 
     @property
     def standard_deviation(self) -> Array:
-        """Standard deviation of every parameter, m or rad; NaN for dropped ones."""
+        """Standard deviation of every parameter, in the order of ``identifiability.names``; NaN for dropped ones."""
         std = np.full(len(self.identifiability.names), np.nan)
         std[self.identifiability.kept] = np.sqrt(np.diag(self.covariance))
         return std
 
     @property
     def prior_std(self) -> Array:
-        """Standard deviation of every parameter before measuring, m or rad; infinite for those without a prior."""
+        """Prior standard deviation of every parameter, in the order of ``identifiability.names``; infinite if none."""
         names = self.identifiability.names
         width = {} if self.prior is None else dict(zip(self.prior.parameters.names, self.prior.width, strict=True))
         return np.array([width.get(name, np.inf) for name in names])
 
     @property
     def narrowed(self) -> Array:
-        """Share by which measuring reduced each parameter's standard deviation, 0 to 1; 0 for dropped ones."""
+        """Share by which measuring reduced the standard deviation of every parameter, 0 to 1; 0 for dropped ones."""
         with np.errstate(invalid="ignore"):
             return np.nan_to_num(np.clip(1.0 - self.standard_deviation / self.prior_std, 0.0, 1.0))
 
@@ -327,7 +327,11 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
 def _jacobian(
     model: ErrorModel, sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array], tolerance: Array
 ) -> Array:
-    """Return the Jacobian in standard uncertainties per ``tolerance``: unknowns first, then the model's columns."""
+    """Return the stacked, whitened Jacobian ``(E, own + P)`` of several data sets.
+
+    Columns of the data sets' own unknowns come first, then those of the P parameters in ``model``. Each column is
+    multiplied by its entry in ``tolerance`` ``(own + P,)``. The Jacobian is taken at ``arm`` and ``unknowns``.
+    """
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
     jacobian = np.zeros((len(tolerance), sum(len(by_arm) for by_arm, _ in parts))).T
     row, column, first = 0, 0, len(tolerance) - len(model.columns)
@@ -342,7 +346,7 @@ def _jacobian(
 def _displaced(
     arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array
 ) -> tuple[ArmModel, list[Array]]:
-    """Return the arm and the unknowns after ``change`` (unknowns first, then the model's parameters)."""
+    """Return the arm and each data set's unknowns after ``change`` ``(own + P,)``: unknowns first, then parameters."""
     *steps, ours = np.split(change, np.cumsum([len(values) for values in unknowns]))
     delta = np.zeros(len(arm.parameter_names))
     delta[model.columns] = ours
@@ -350,7 +354,10 @@ def _displaced(
 
 
 def _solve(matrix: Array, right: Array, damping: float) -> Array:
-    """Compute the least-squares step by QR; ``damping`` adds Levenberg's ridge relative to the mean column norm."""
+    """Compute the least-squares solution ``(K,)`` of ``matrix`` x = ``right`` by QR.
+
+    Levenberg's ridge is added to the matrix: the square root of ``damping`` times the columns' RMS norm.
+    """
     if damping:
         ridge = np.sqrt(damping) * np.linalg.norm(matrix) / np.sqrt(matrix.shape[1])
         matrix = np.vstack([matrix, ridge * np.eye(matrix.shape[1])])
@@ -369,6 +376,9 @@ def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
     Args:
         matrix: Matrix of the equations ``(rows, P)``.
         right: Right-hand side ``(rows,)``.
+
+    Returns:
+        Matrix and right-hand side of at most P + 1 equations.
     """
     ends = np.linspace(0, len(right), max(len(right) // BLOCK, 1) + 1).astype(int).tolist()
     parts = [np.asarray(np.linalg.qr(np.column_stack([matrix[i:j], right[i:j]]), "r")) for i, j in pairwise(ends)]
@@ -382,7 +392,13 @@ def rms_of(values: Array) -> float:
 
 
 def _covariance(matrix: Array, scale: Array, variance: float) -> Array:
-    """Compute the parameters' covariance ``(P, P)`` from rows of this variance with columns scaled by ``scale``."""
+    """Compute the parameters' covariance ``(P, P)`` from least-squares equations.
+
+    Args:
+        matrix: Matrix of the equations ``(rows, P)``.
+        scale: Factor on each column ``(P,)``.
+        variance: Variance of each equation's error.
+    """
     inverse_r = np.linalg.inv(np.linalg.qr(matrix, mode="r"))
     return np.asarray(variance * (inverse_r @ inverse_r.T * np.outer(scale, scale)))
 
@@ -390,7 +406,11 @@ def _covariance(matrix: Array, scale: Array, variance: float) -> Array:
 def _enough_poses(
     model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
-    """Refuse data sets with fewer equations (``rows``) than parameters that such data identify at random poses."""
+    """Refuse data sets with fewer equations than parameters that such data identify at random poses.
+
+    ``rank`` is the number of parameters that the data identify at their own poses, ``rows`` the number of equations,
+    and ``unknowns`` the values of each data set's own unknowns.
+    """
     parameters = len(model.names) + sum(len(values) for values in unknowns)
     if rows >= 2 * parameters:
         return  # whatever the rank elsewhere, there are enough
@@ -422,7 +442,7 @@ class Identifiability:
 
     Attributes:
         names: All parameters, in order.
-        kept: Indices of the kept parameters, a largest identifiable subset (the base set).
+        kept: Indices, from 0, of the kept parameters, a largest identifiable subset (the base set).
         dropped: The dropped parameters by name. Each has a dictionary of deviations of kept parameters, by name, m or
             rad, which together have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. It is
             empty if the dropped parameter has no effect on the measurements.
@@ -540,9 +560,9 @@ def identifiable_parameters(
 
 
 def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, dict[str, float]]:
-    """Return the longest identifiable length, with the other lengths' deviations of the same effect.
+    """Return the longest of the lengths that ``visible`` keeps, with the other lengths' deviations of the same effect.
 
-    The form is that of `Identifiability.dropped`; it is empty if no length is identifiable.
+    The form is that of `Identifiability.dropped`; it is empty if ``visible`` keeps no length.
     """
     names = [f"a{i}" for i in range(geometry.links)] + [f"d{i + 1}" for i in range(geometry.links)]
     values = dict(zip(names, [*geometry.a, *geometry.d], strict=True))
@@ -569,7 +589,7 @@ def observability(singular_values: Array, poses: int) -> dict[str, float]:
         The indices by name, with singular values s1 (largest) to sm. Index "o1" is (s1 … sm)^(1/m) / sqrt(n), with the
         geometric mean that a D-optimal set maximises. Index "o2" is sm / s1, the inverse condition number. Index "o3"
         is sm, which shows how well the worst combination is determined. Index "o4" is sm^2 / s1, noise amplification.
-        Index "o5" is 1 / sum(1 / si), related to A-optimality. The others are "condition", s1 / sm, and "poses", n.
+        Index "o5" is 1 / sum(1 / si), related to A-optimality. Entry "condition" is s1 / sm, and entry "poses" is n.
 
     Raises:
         ValueError: If a singular value is not above zero: such parameters are not identifiable and must be left out.

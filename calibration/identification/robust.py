@@ -79,7 +79,11 @@ def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float
 
 
 def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry]:
-    """Yield starting geometries: closed form and nominal tool, then random tools with a fixed seed; best ones first."""
+    """Yield starting geometries, which differ in their tool, each with the base that fits best.
+
+    The nominal tool and the closed-form tool come first, then random tools, drawn with a fixed seed. Within each of
+    these two groups, the tool of the smallest error comes first.
+    """
     bare = ArmModel.of(replace(geometry, base=identity_pose(), tool=identity_pose()))
     chain = bare.pose(measurements.joints, measurements.conditions)
 
@@ -131,7 +135,13 @@ def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measur
 
 
 def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) -> Pose:
-    """Compute the tool's pose in the last link's frame from linear equations."""
+    """Compute the tool's pose in the last link's frame from linear equations.
+
+    Args:
+        chain: Poses of the last link in frame 0 at the measured joints ``(N,)``.
+        measurements: The measured poses or positions.
+        nominal: The nominal tool, whose attitude is kept if only positions were measured.
+    """
     if measurements.rotation is None:
         return Pose(_offset_from_positions(chain, measurements.position), nominal.rotation)
     turn, tool_turn = _turns_from_attitudes(chain.rotation, measurements.rotation)
@@ -146,7 +156,8 @@ def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) ->
 def _offset_from_positions(chain: Pose, position: Array) -> Array:
     """Compute the tool offset u ``(3,)``, m, from M p - s - Q u = o, which is linear in M = R^T, s = R^T t and u.
 
-    R and t are the base's rotation and position, p the measured position, Q and o those of the last link.
+    R and t are the base's rotation and position. ``chain`` holds rotation Q and position o of the last link in frame 0
+    at each of N rows, and ``position`` the measured positions p ``(N, 3)``, m.
     """
     count, middle = len(position), position.mean(axis=0)
     by_rotation = np.einsum("ik,nj->nikj", np.eye(3), position - middle).reshape(count, 3, 9)
@@ -157,7 +168,12 @@ def _offset_from_positions(chain: Pose, position: Array) -> Array:
 
 
 def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
-    """Compute base rotation R and tool rotation T of measured = R chain T, as null vector of measured T^T - R chain."""
+    """Compute base rotation R and tool rotation T of measured = R chain T, as null vector of measured T^T - R chain.
+
+    Args:
+        chain: Rotations of the last link in frame 0 ``(N, 3, 3)``.
+        measured: Measured rotations of the tool ``(N, 3, 3)``.
+    """
     # Row-major vec: vec(A X) = (A kron 1) vec X, vec(Y B) = (1 kron B^T) vec Y. Of rotations the normal equations are
     # [[N, -S], [-S^T, N]] with the sum S of A^T kron B^T, so that the null vector is S's first pair of singular ones.
     across = np.einsum("nji,nlk->ikjl", measured, chain)
@@ -182,7 +198,8 @@ def refuse_another_arm(
         geometry: The arm, with base and tool as they are known or fitted.
         measurements: The data.
         state: Words for the message that say how base and tool were determined.
-        nominal: The arm with its own tool, if ``geometry`` has a fitted tool.
+        nominal: The arm with its own tool, if ``geometry`` has a fitted tool. Its spread of positions shows whether
+            the unit is wrong.
 
     Raises:
         InputError: If positions miss by more than `MISFIT` of their spread, where the spread counts as at least `SPAN`,
@@ -333,6 +350,8 @@ def sizes_of(
 def sigma_of(found: Identification, data: Observations, scales: Array | None = None) -> Array:
     """Return the largest error of each row ``(N,)`` under an identified arm, in standard deviations of the channels.
 
+    A channel is the readings of one instrument in one unit.
+
     Args:
         found: The identification.
         data: The rows.
@@ -351,7 +370,7 @@ def misses_of(found: Identification, data: Observations) -> Array:
 
 
 def _median(values: Array, counts: Array) -> float:
-    """Return the weighted median of values ``(N,)``; NaN values are ignored."""
+    """Return the median of values ``(N,)``, weighted by ``counts`` ``(N,)``; NaN values are ignored."""
     order = np.argsort(values, kind="stable")[: np.count_nonzero(values == values)]
     below = np.cumsum(counts[order])
     first, last = np.searchsorted(below, below[-1] * np.array([0.5 - 1e-12, 0.5 + 1e-12]))
@@ -384,8 +403,12 @@ beside its geometry."""
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
     """Return the geometry with rough base and tool, from which a fit can start.
 
-    Views of a board give both. The positions of the reflector that is seen most often give the base, and with at least
-    three known reflectors also the tool. Other kinds give the nominal geometry.
+    Poses, positions and views of a board give both. The positions of the reflector that is seen most often give the
+    base, and with at least three known reflectors also the tool. Other kinds give the nominal geometry.
+
+    Args:
+        nominal: The nominal geometry.
+        data: The rows; of several stations, the first one's count.
 
     Raises:
         InputError: If the reflector's positions do not fit the arm.
@@ -487,8 +510,8 @@ def _stations(arm: Arm, parts: Sequence[Observations], owners: Sequence[Mapping[
     Args:
         arm: The arm.
         parts: The data sets; the first has the arm's own frames.
-        owners: For each set after the first, the number of the station that each frame belongs to. Frames that are left
-            out are shared with the arm.
+        owners: For each set after the first, the number, from 1, of the station that each frame belongs to, by the
+            frame's name. Frames that are left out are shared with the arm.
     """
     starts = [robust_frames(arm, part) if part.framed else arm.nominal for part in parts[1:]]
     stations = [InstrumentStation(parts[0])]
@@ -561,7 +584,7 @@ def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | 
 
 
 def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) -> Iterator[tuple[SetUp, ...]]:
-    """Yield all ways to add one more file to the set-ups: to each that it can join, or as a new set-up."""
+    """Yield all ways to add file ``i`` of ``parts`` to the set-ups: to each that it can join, or as a new set-up."""
     for number, (members, own) in enumerate(groups):
         if parts[members[0]].joinable(parts[i]):
             yield (*groups[:number], ((*members, i), own), *groups[number + 1 :])
@@ -574,7 +597,8 @@ def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int)
 def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp], i: int) -> bool:
     """Return whether the frames of a file and of the set-up that it joins fit each other's rows almost as their own.
 
-    One of the two directions is enough, since a file may hardly determine its frames. The arm is nominal.
+    It is enough if one fits the other's rows, since a file may hardly determine its frames. The arm is nominal.
+    ``near`` holds each file's rows and arm from `_near_rows`, by the file's index ``i`` from 0.
     """
 
     def ratio(rows: int, arm: int) -> float:
@@ -585,12 +609,16 @@ def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequen
 
 
 def _missed(rows: Measurements, by: Geometry) -> float:
-    """Return the median position error of the rows under an arm, m, plus a micrometre."""
+    """Return the median position error, m, of the rows under the arm ``by``, plus a micrometre."""
     return 1e-6 + float(np.median(np.linalg.norm(rows.difference(by)[:, :3], axis=1)))
 
 
 def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp]) -> float:
-    """Compute Schwarz's (Bayesian) information criterion of these set-ups; each file has a separate scatter."""
+    """Compute Schwarz's (Bayesian) information criterion of set-ups, which is smaller for better ones.
+
+    Each file has a separate scatter. The result is infinite if the fit fails. ``near`` holds each file's rows and arm
+    from `_near_rows`, by the file's index from 0; ``groups`` are the set-ups.
+    """
     sets, stations = [], []
     for number, (members, own) in enumerate(groups, start=1):
         rows = rows_together([near[i][0] for i in members])

@@ -55,8 +55,8 @@ def solve(
     """Fit a model's parameters to rows and priors.
 
     Args:
-        model: The parameters with their priors; the solution is averaged over those scales of prior widths that the
-            model does not state.
+        model: The parameters with their priors. The solution is averaged over the scales, that is factors on the prior
+            widths of a group of parameters, which the model does not state.
         data: The rows. If they involve no known length, priors of lengths are not rescaled, because the smallest arm
             would fit best.
         noise: The scatter of the rows; estimated from them when left out.
@@ -114,20 +114,21 @@ def averaged_over_scales(
 ) -> tuple[dict[str, float], Callable[[float], Identification]]:
     """Average the posterior of the linearised model over the scales of prior widths.
 
-    The scales are weighed by their marginal likelihood and by a prior near 1. With fixed scales the uncertainties would
-    be too small, because few rows hardly show how accurately an arm was made.
+    A scale is the factor on the prior widths of a group of parameters, such as all lengths of parts. Scales are weighed
+    by their marginal likelihood and by a prior near 1. With fixed scales the uncertainties would be too small, because
+    few rows hardly show how accurately an arm was made.
 
     Args:
         model: The model, with the scales of the solution.
         solution: The solution at which the model is linearised.
-        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``, with respect to their own unknowns
-            first.
+        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``: those with respect to the
+            measurements' own unknowns come first, those with respect to the P parameters last.
         residual: Whitened residuals at the solution ``(E,)``.
-        free: Groups whose scales are averaged over.
+        free: Names of the groups, some of `MADE`, whose scales are averaged over.
 
     Returns:
-        The geometric mean of the scales by group, and a function that returns the solution moved to the mean of that
-        posterior, with its covariance. The function's argument is the factor on variances of rows that carry less
+        The geometric mean of the scales by group, and a function. The function returns the solution at the averaged
+        posterior's mean, with its covariance. Its argument is the factor on variances of rows that carry less
         information than independent ones (`pickenv.calibration.model.noise.RowNoise.common`).
     """
     count, base = columns.shape[1] - len(model.std), solution.identifiability.kept
@@ -156,7 +157,10 @@ def averaged_over_scales(
         std = np.maximum(np.sqrt(weight @ (logs - mean) ** 2), NARROWEST * std)
 
     def averaged(common: float) -> Identification:
-        """Return the solution at the mean over all scales, with its covariance."""
+        """Return the solution at the posterior's mean over all scales, with its covariance.
+
+        ``common`` is the factor on variances of rows that carry less information than independent ones.
+        """
         some = weight > LIGHT * weight.max()
         share, scaled, root = weight[some] / weight[some].sum(), factor[some], np.linalg.inv(lower[some])
         inverse = root.transpose(0, 2, 1) @ root
@@ -184,7 +188,9 @@ def averaged_over_scales(
 
 
 def leverages(columns: Array) -> Array:
-    """Compute the leverage of each equation ``(E,)`` in a fit in which every parameter has a standard normal prior.
+    """Compute the leverage of each equation ``(E,)``, if every parameter has a standard normal prior.
+
+    The leverage, 0 to 1, is the share of an equation that the fit uses to determine parameters.
 
     Args:
         columns: Whitened derivatives ``(E, P)``, in units of the priors' standard deviations.
@@ -194,7 +200,7 @@ def leverages(columns: Array) -> Array:
 
 
 def _settled(before: tuple[RowNoise, dict[str, float]], after: tuple[RowNoise, dict[str, float]]) -> bool:
-    """Return whether noise and scales have both changed by no more than `SETTLED`."""
+    """Return whether noise and scales (by group) changed by no more than `SETTLED` from ``before`` to ``after``."""
     (old, old_scales), (new, new_scales) = before, after
     values = [np.log(new.scatter / old.scatter), np.log(new.channels / old.channels)]
     values += [np.log([new_scales[name] / old_scales.get(name, 1.0) for name in new_scales] or [1.0])]

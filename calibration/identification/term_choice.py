@@ -82,11 +82,11 @@ class Linearised:
 
     @property
     def fitted(self) -> Places:
-        """Indices of the parameters that are not terms' coefficients."""
+        """Indices, from 0, of the parameters that are not terms' coefficients."""
         return np.arange(len(self.names) - len(self.arm.coefficients))
 
     def coefficients_of(self, term: int) -> Places:
-        """Return the indices of the coefficients of the term with this index."""
+        """Return the indices, among the parameters, of the coefficients of the term with index ``term`` (from 0)."""
         counts = [len(member.names(self.arm.geometry)) for member in self.arm.terms]
         first = len(self.fitted) + sum(counts[:term])
         return np.arange(first, first + counts[term])
@@ -122,7 +122,7 @@ class Linearised:
         """Return the normal equations, with priors, of all blocks of rows but one.
 
         Args:
-            block: Index of the block that is left out; with None all blocks are included.
+            block: Index, from 0, of the block that is left out; with None all blocks are included.
 
         Returns:
             Matrix ``(P, P)`` and right-hand side ``(P,)``.
@@ -134,7 +134,10 @@ class Linearised:
         return matrix + np.diag(self.ridge), right + self.pull
 
     def misses(self, data: Observations, solution: Array) -> Array:
-        """Return misses of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
+        """Return misses (measured minus predicted) of the data ``(R, 3)`` or ``(R, 1)``, m, after a change.
+
+        ``solution`` is the change of the parameters ``(P,)``, divided by `scale`.
+        """
         change = defaultdict(float, zip(self.names, solution * self.scale, strict=True))
         terms = tuple(term for i, term in enumerate(self.arm.terms) if solution[self.coefficients_of(i)].any())
         arm = ArmModel.of(self.arm.geometry, terms)
@@ -147,8 +150,8 @@ def left_of(normal: tuple[Array, Array, Array], block: int, solution: Array) -> 
 
     Args:
         normal: The normal equations of all blocks of rows (`Linearised.normal`).
-        block: Index of the block.
-        solution: Change of the parameters ``(P,)``.
+        block: Index of the block, from 0.
+        solution: Change of the parameters ``(P,)``, divided by `Linearised.scale`.
     """
     matrix, right, square = normal
     slope = matrix[block] @ solution - 2.0 * right[block]
@@ -156,7 +159,13 @@ def left_of(normal: tuple[Array, Array, Array], block: int, solution: Array) -> 
 
 
 def solved(matrix: Array, right: Array, places: Places) -> Array:
-    """Solve normal equations for the parameters at ``places``; return the solution ``(P,)``, zero for all others."""
+    """Return the solution ``(P,)`` of normal equations for some parameters; it is zero for all other parameters.
+
+    Args:
+        matrix: Matrix ``(P, P)``.
+        right: Right-hand side ``(P,)``.
+        places: Indices, from 0, of the parameters to solve for.
+    """
     scale = np.sqrt(np.diag(matrix)[places])
     small = matrix[np.ix_(places, places)] / np.outer(scale, scale) + 1e-12 * np.eye(len(places))
     solution = np.zeros(len(right))
@@ -223,7 +232,7 @@ def harmonics_of(found: Identification) -> list[Harmonic]:
 
 
 def every_order(geometry: Geometry) -> PeriodicTerm:
-    """Return a term with all candidate harmonics: every order of the coarse grid, for every revolute joint."""
+    """Return a term with all candidate harmonics: orders from 1 to `HIGHEST` in steps of `STEP`, per revolute joint."""
     orders = np.arange(1.0, HIGHEST + STEP / 2, STEP).tolist()
     return _harmonics([(i, order) for i in range(geometry.joints) if not geometry.prismatic[i] for order in orders])
 
@@ -235,12 +244,12 @@ def nearby(wave: PeriodicTerm) -> PeriodicTerm:
 
 
 def _harmonics(pairs: Sequence[tuple[int, float]]) -> PeriodicTerm:
-    """Return a term of the harmonics with these joints and orders."""
+    """Return a term of the harmonics in ``pairs``, each a joint (index from 0) and an order."""
     return PeriodicTerm(tuple(i for i, _ in pairs), tuple(order for _, order in pairs))
 
 
 def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most: int) -> list[int]:
-    """Return indices of the candidates chosen by orthogonal matching pursuit, in the order of their choice.
+    """Return indices, from 0, of the candidates chosen by orthogonal matching pursuit, in the order of their choice.
 
     The method is a pivoted block Cholesky factorisation of the normal equations, in which each candidate is a pair of
     columns.
@@ -248,8 +257,8 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
     Args:
         matrix: Normal equations ``(P, P)``, priors among them.
         right: Right-hand side of the normal equations ``(P,)``.
-        base: Indices of the columns that are always included.
-        candidates: Indices of each candidate's sine and cosine columns ``(M, 2)``.
+        base: Indices, from 0, of the columns that are always included.
+        candidates: Indices, from 0, of each candidate's sine and cosine columns ``(M, 2)``.
         most: Number of candidates to choose.
     """
     pairs = candidates.ravel()
@@ -283,14 +292,14 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
 def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tuple[list[Places], Places]:
     """Return column indices of the chosen harmonics, for each block of rows held out and for all blocks together.
 
-    On the other blocks harmonics are chosen one after the other. They are judged on the block held out. The number of
-    harmonics is the smallest one whose error is within `WITHIN` of the least error. Indices are empty if no harmonic
-    reduces the error.
+    For each block held out, harmonics are chosen one after the other on all other blocks, and judged on this block. The
+    number of harmonics is the smallest one whose error is within `WITHIN` of the least error. Indices are empty if no
+    harmonic reduces the error.
 
     Args:
         equations: Normal equations of geometry, other terms and every candidate harmonic.
-        base: Indices of the columns that are always included.
-        candidates: Indices of the sine and cosine columns of each candidate ``(M, 2)``.
+        base: Indices, from 0, of the columns that are always included.
+        candidates: Indices, from 0, of the sine and cosine columns of each candidate ``(M, 2)``.
     """
     of_each, right_of_each, squares_of_each = equations.normal
     rows = sum(len(block.joints) for block in equations.blocks)
@@ -342,7 +351,12 @@ def refined(
 
 
 def _solution_with_priors(linear: Linearised, observations: Observations) -> tuple[Array, Array, Array, Array]:
-    """Return all rows' columns, their residual, the matrix of the normal equations with priors, and the solution."""
+    """Solve the linear model for all rows, with priors.
+
+    Returns:
+        Columns ``(R, P)`` and residual ``(R,)`` of the rows' equations, the matrix of the normal equations with priors
+        ``(P, P)``, and the solution ``(P,)``.
+    """
     columns, residual = linear.equations(observations)
     matrix = columns.T @ columns + np.diag(linear.ridge)
     return columns, residual, matrix, solved(matrix, residual @ columns + linear.pull, np.arange(len(matrix)))
@@ -451,7 +465,7 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
 
 
 def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
-    """Return the term of this name; "periodic" has all candidate harmonics.
+    """Return the term of this name, one of `NAMES`; "periodic" has all candidate harmonics.
 
     "compliance" takes measured torques, or else the weight of the arm's masses; "bending" takes these masses.
     """
@@ -472,6 +486,7 @@ def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
 
 
 def _torques_known(arm: Arm, observations: Observations) -> bool:
+    """Return whether torques were measured, or can be computed from the masses of the arm's links."""
     return observations.conditions.torque is not None or arm.load is not None
 
 
@@ -497,7 +512,7 @@ class _Trial:
 
     @staticmethod
     def of(arm: Arm, bare: Identification, observations: Observations, names: tuple[str, ...] | None = None) -> _Trial:
-        """Return a trial of the named terms, or of all terms whose conditions the data have."""
+        """Return a trial of the terms ``names``, some of `NAMES`; if None, of all terms that arm and data allow."""
         data = observations.select(equally_spaced(len(observations.joints), ROWS))
         if names is None:
             missing = {
@@ -514,7 +529,10 @@ class _Trial:
         return _Trial(bare, data, names, equations, counts)
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
-        """Return indices of the parameters fitted with the named terms: for each block left out, and for all blocks."""
+        """Return indices, from 0, of the parameters that are fitted with the terms ``names``.
+
+        They are given for each block of rows left out, and then for all blocks together.
+        """
         model = self.equations
         others = [model.coefficients_of(self.names.index(name)) for name in names if name != "periodic"]
         base = np.concatenate([model.fitted, *others])
@@ -557,4 +575,5 @@ class _Trial:
 
 
 def _joined(names: tuple[str, ...]) -> str:
+    """Return names joined by "+", or "none" if there are none."""
     return "+".join(names) or "none"

@@ -31,7 +31,7 @@ class Conditions:
         torque: Measured joint torques or forces ``(N, n)``, N*m or N; positive if the load, such as gravity, pushes in
             the joint's positive direction.
         between: For a robot whose links form a tree, indices of the links that carry the sensor and its target
-            ``(N, 2)``, see `pickenv.arm.kinematics.geometry.LinkTree`.
+            ``(N, 2)``, from 0, with -1 for the world; see `pickenv.arm.kinematics.geometry.LinkTree`.
     """
 
     payload: Array | None = None
@@ -40,7 +40,7 @@ class Conditions:
     between: NDArray[np.int64] | None = None
 
     def select(self, rows: NDArray[Any]) -> Conditions:
-        """Return the conditions of the given poses (indices or a mask)."""
+        """Return the conditions of the poses that ``rows`` selects (indices or a mask)."""
         return Conditions(**{name: None if part is None else part[rows] for name, part in vars(self).items()})
 
     def repeated(self, shape: tuple[int, ...]) -> Conditions:
@@ -63,7 +63,7 @@ class Conditions:
         return tuple(name for name in ("payload", "temperature") if getattr(self, name) is not None)
 
     def refuse_other_inputs(self, record: Mapping[str, Any]) -> None:
-        """Refuse conditions other than those that a residual was learnt with, such as a temperature for a payload.
+        """Refuse payload or temperature if a residual was learnt with other conditions.
 
         Args:
             record: Record of the calibration that has the residual.
@@ -97,7 +97,10 @@ class JointTerm(Term, Protocol):
     """A term that displaces one joint per coefficient; the tool's displacement follows to first order."""
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Return each coefficient's joint ``(k,)``, and the motion of that joint, rad or m, per unit ``(N, k)``."""
+        """Return each coefficient's joint, from 0, and that joint's motion per unit of the coefficient ``(N, k)``.
+
+        The motion is in rad or m.
+        """
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Return the pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes.
@@ -178,7 +181,11 @@ class ArmModel:
         return np.concatenate([geometric, *columns], axis=-1) if columns else geometric
 
     def _by_way(self, joints: ArrayLike, conditions: Conditions, question: Callable[..., Array]) -> Array:
-        """Return results of ``question`` for rows ``(N, ...)`` of a whole robot, for one pair of links at a time."""
+        """Return results ``(N, ...)`` for N rows of a whole robot, computed for one pair of links at a time.
+
+        ``conditions.between`` has the pair of links of each row. ``question`` computes the results of M rows
+        ``(M, ...)`` from the model of the chain between two links, the rows' joints, and their conditions.
+        """
         assert conditions.between is not None
         ways, way = np.unique(conditions.between, axis=0, return_inverse=True)
         answer, joints = np.zeros(0), np.asarray(joints, dtype=float)
@@ -192,7 +199,7 @@ class ArmModel:
         return answer
 
     def displaced(self, delta: Array) -> ArmModel:
-        """Return this model with ``delta`` ``(5n + 12 + k,)`` added to its parameters."""
+        """Return this model with ``delta`` ``(5n + 12 + k,)`` added to its parameters, in the order of their names."""
         count = len(self.geometry.parameter_names)
         geometry = self.geometry.displaced(delta[:count])
         return replace(self, geometry=geometry, coefficients=self.coefficients + delta[count:])
@@ -273,23 +280,25 @@ def joint_zeros_model(geometry: Geometry) -> ErrorModel:
 
 
 def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
-    """Return a model of the given parameters, followed by the coefficients of the arm's terms."""
+    """Return ``model``, the parameters to identify, followed by all coefficients of the terms of ``arm``."""
     count = len(arm.geometry.parameter_names)
     columns = np.arange(count, len(arm.parameter_names))
     return model.joined(ErrorModel(columns, arm.parameter_names[count:], arm.term_tolerances))
 
 
 def _link_names(geometry: Geometry) -> list[str]:
-    """Return the names of the MDH parameters in the order alpha, a, d, theta: lengths come before joint angles.
+    """Return the names of the MDH parameters in the order alpha, a, d, theta, so that lengths precede joint angles.
 
-    Where an offset and angles are redundant (d3 = (theta2 - theta1) / a1 of the picking arm), the offset is thus kept:
-    a length expresses a finite deviation exactly, angles only to first order.
+    Where an offset d and angles theta are redundant, the earlier one in this order, the offset, is kept. A length
+    expresses a finite deviation exactly, and angles only to first order. The picking arm has such a redundancy:
+    d3 = (theta2 - theta1) / a1.
     """
     kinds = ("alpha", "a", "d", "theta")
     return [name for kind in kinds for name in geometry.parameter_names if name.rstrip("0123456789") == kind]
 
 
 def _model(geometry: Geometry, names: list[str]) -> ErrorModel:
+    """Return the model of the parameters with these names, in this order."""
     index = {name: i for i, name in enumerate(geometry.parameter_names)}
     columns = np.array([index[name] for name in names])
     tolerance = np.where(geometry.parameter_is_angle[columns], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
@@ -340,10 +349,10 @@ def pose_carrier() -> Arm:
 
 
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
-    """Return the parameters to identify for the arm of this name.
+    """Return the parameters to identify for the arm named ``arm``, whose nominal geometry is ``nominal``.
 
-    For the pose carrier (`CARRIER`) they are base and tool pose. For every other arm they are the link parameters and,
-    unless ``known_frames``, base and tool pose.
+    For the pose carrier (`CARRIER`) they are base and tool pose. For every other arm they are those of `link_model` if
+    base and tool are known (``known_frames``), and otherwise those of `complete_model`.
     """
     if arm == CARRIER:
         return frames_model(nominal)

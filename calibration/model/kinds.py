@@ -69,12 +69,12 @@ def direction(vector: Array) -> tuple[Array, Array]:
 
 
 def unit_length(vector: Array) -> tuple[Array, Array]:
-    """Return 1 minus a vector's length, to first order ``(1,)``, and the derivative of the length ``(1, 3)``."""
+    """Return 1 minus a vector's length, to first order ``(1,)``, and the length's derivative by it ``(1, 3)``."""
     return np.array([(1.0 - vector @ vector) / 2.0]), vector[None]
 
 
 def steady_solution(matrix: Array, right: Array) -> Array:
-    """Solve linear equations for least absolute errors, so that a few gross errors hardly change the solution.
+    """Return the solution ``(k,)`` of least absolute errors of linear equations; a few gross errors hardly change it.
 
     The method is iteratively re-weighted least squares.
 
@@ -105,13 +105,13 @@ def _normal(points: Array) -> Array:
 
 
 class _Point:
-    """A point, described by its coordinates; the base class of all surfaces.
+    """A fixed point that distances are measured from; the base class of all surfaces.
 
-    Every surface has K numbers, with their ``names`` and the ``tolerances`` of their deviations ``(K,)``, m or rad.
-    ``gap`` gives the distances ``(N,)`` of points ``(N, 3)`` from the surface, m, with their derivatives by the points
-    ``(N, 3)`` and by the numbers ``(N, K)``. ``start`` gives first values of the numbers and the zero of the readings,
-    from points, readings ``(N,)``, a zero, and whether the zero is unknown. ``gauge`` gives equations that fix what
-    distances leave open: their residual ``(G,)`` and derivatives ``(G, K)``.
+    Every surface is described by K numbers ``values``: those of a point are its coordinates. ``names`` are the numbers'
+    names, and ``tolerances`` their typical deviations ``(K,)``, m or rad. ``gap`` gives the distances ``(N,)``, m, of
+    points ``(N, 3)`` from the surface, with derivatives by the points ``(N, 3)`` and by the numbers ``(N, K)``.
+    ``start`` gives first values of the numbers and of the zero of the readings. ``gauge`` gives G equations that fix
+    what distances leave open, such as the length of a plane's normal: residual ``(G,)`` and derivatives ``(G, K)``.
     """
 
     names: tuple[str, ...] = ("anchor_x", "anchor_y", "anchor_z")
@@ -128,7 +128,8 @@ class _Point:
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
         """Return first values of a centre A and a zero z, if the distances r of points p from A are read as l = r + z.
 
-        |p|^2 - l^2 = 2 p.A - 2 l z + z^2 - |A|^2. This is linear in A, z and the constant z^2 - |A|^2.
+        |p|^2 - l^2 = 2 p.A - 2 l z + z^2 - |A|^2. This is linear in A, z and the constant z^2 - |A|^2. Unless z is
+        ``unknown``, it is the stated ``zero``. ``points`` are p ``(N, 3)``, and ``readings`` l ``(N,)``, all in m.
         """
         middle, begin = points.mean(axis=0), float(readings.mean()) if unknown else zero
         p, length = points - middle, readings - begin
@@ -161,10 +162,10 @@ class _Plane(_Point):
 
     @staticmethod
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        """Return first values of the plane, and the zero as given.
+        """Return first values of the plane's numbers, and ``zero``, m, unchanged.
 
-        The normal is the shortest axis of the points, or the direction along which the readings grow, whichever
-        explains the readings better.
+        The normal is the shortest axis of the points ``(N, 3)``, or the direction along which the readings ``(N,)``
+        grow, whichever explains the readings better. ``unknown`` has no effect.
         """
         shortest = _normal(points)
         matrix = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])
@@ -201,7 +202,8 @@ class SocketObservations(Observations):
     Attributes:
         joints: ``(N, n)``, rad or m.
         socket: Number of the place in which the tool point rests in each pose ``(N,)``, from 0.
-        pairs: Pairs of sockets of known spacing ``(M, 2)``; without them the scale of the arm is unobservable.
+        pairs: Numbers, from 0, of the sockets of each pair of known spacing ``(M, 2)``; without any pair the scale of
+            the arm is unobservable.
         spacing: Spacing of each pair ``(M,)``, m.
         std: Standard uncertainty of a coordinate of the tool point in its place, m.
         spacing_std: Standard uncertainty of a spacing, m.
@@ -242,7 +244,7 @@ class SocketObservations(Observations):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Coordinates of the sockets, which are unknown, and of the tool point ``tip``."""
+        """Coordinates of the sockets, which are unknown, and then of the tool point ``tip``."""
         count = 3 * len(self._names)
         return Stated(
             (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *TIP),
@@ -253,11 +255,11 @@ class SocketObservations(Observations):
 
     @property
     def groups(self) -> Rows:
-        """The socket of each row ``(N,)``; a split thus has training rows of every socket."""
+        """Number, from 0, of each row's socket ``(N,)``; splits by these groups train on rows of every socket."""
         return self.socket
 
     def span(self, tool: Array) -> float:
-        """Return the largest distance of the tool positions from their mean, m."""
+        """Return the largest distance of the tool positions ``tool`` ``(N, 3)`` from their mean, m."""
         return float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
@@ -266,7 +268,7 @@ class SocketObservations(Observations):
         return np.asarray(sockets[self.socket] - ball)
 
     def readings(self) -> Array:
-        """Return the number of each row's socket ``(N, 1)``."""
+        """Return the number, from 0, of each row's socket ``(N, 1)``."""
         return self.socket[:, None].astype(float)
 
     def start(self, model: ArmModel) -> Array:
@@ -280,7 +282,11 @@ class SocketObservations(Observations):
         return np.concatenate([*sockets, self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Return whitened derivatives of tool point minus socket by arm parameters and by the instrument's numbers."""
+        """Return whitened derivatives of tool point minus socket.
+
+        Returns:
+            Derivatives with respect to the arm's P parameters ``(N, 3, P)`` and the instrument's numbers ``(N, 3, K)``.
+        """
         by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, numbers[-3:])
         places = np.eye(len(self._names))[self.socket]
         by_socket = -np.einsum("ns,ij->nisj", places, np.eye(3)).reshape(*by_tip.shape[:2], -1)
@@ -398,9 +404,9 @@ class DistanceObservations(Observations):
         return np.einsum("ni,nip->np", along, by_model), np.hstack([by_own, np.einsum("ni,nij->nj", along, by_tip)])
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """Return the equation that keeps a plane's normal at length one; a point has none.
+        """Return the G equations of the surface's numbers: one keeps a plane's normal at length one, a point has none.
 
-        It is weighted as strongly as all readings together.
+        A plane's equation is weighted as strongly as all readings together.
 
         Args:
             numbers: All of the instrument's numbers ``(K,)``.
@@ -450,7 +456,7 @@ class ReflectorObservations(Observations):
 
     @property
     def rows_of_misses(self) -> Rows:
-        """The row of each miss ``(R,)``; there is one miss per reflector seen."""
+        """Index, from 0, of each miss's row ``(R,)``; there is one miss per reflector seen."""
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
@@ -486,7 +492,11 @@ class ReflectorObservations(Observations):
         return Measurements(*seen, source=self.source, conditions=self.conditions.select(rows))
 
     def seen_from(self, model: ArmModel) -> Array:
-        """Return the mean of each reflector's measured positions ``(k, 3)``, m, in the predicted tool frames."""
+        """Return each reflector's mean position in the tool's frame ``(k, 3)``, m, by the measured points.
+
+        Args:
+            model: The arm, which predicts the tool's pose in each row.
+        """
         tool = model.pose(self.joints, self.conditions)
         local = np.einsum("nij,nki->nkj", tool.rotation, self.points - tool.position[:, None])
         weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
@@ -499,7 +509,12 @@ class ReflectorObservations(Observations):
         return np.asarray((self.points - predicted)[self.seen])
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Return whitened derivatives of the predicted positions by arm parameters and by reflectors' places."""
+        """Return whitened derivatives of the R predicted positions.
+
+        Returns:
+            Derivatives with respect to the arm's P parameters ``(R, 3, P)`` and to the reflectors' coordinates
+            ``(R, 3, 3 k)``.
+        """
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         count = self.points.shape[1]
         lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
@@ -556,7 +571,7 @@ class TiltObservations(Observations):
 
     @worked_out
     def width(self) -> int:
-        """Number of equations per row: one for each component."""
+        """Number of equations per row: one for each of the K components."""
         return int(self.components.shape[1])
 
     @cached_property
@@ -609,7 +624,12 @@ class TiltObservations(Observations):
         return np.asarray(self.components - local @ np.array(axes).T)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Return whitened derivatives of the components by arm parameters and by axes and down direction."""
+        """Return whitened derivatives of the predicted components.
+
+        Returns:
+            Derivatives with respect to the arm's parameters ``(N, K, P)``, and to the components of axes and down
+            direction ``(N, K, 3 K + 3)``.
+        """
         *axes, (down, by_down) = (direction(vector) for vector in numbers.reshape(-1, 3))
         rotation = model.pose(self.joints, self.conditions).rotation
         turned = model.jacobian(self.joints, self.conditions)[:, 3:]
@@ -624,7 +644,11 @@ class TiltObservations(Observations):
         return by_model / self.std[..., None], by_own / self.std[..., None]
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """Return equations that keep fitted directions at length one, weighted as strongly as all readings together."""
+        """Return G equations that keep fitted directions at length one, weighted as strongly as all readings together.
+
+        Returns:
+            Residual ``(G,)`` and derivatives ``(G, 3 K + 3)`` with respect to axes and down direction.
+        """
         fitted = np.flatnonzero(self.numbers.std.reshape(-1, 3).all(axis=1))
         strong = np.sqrt(len(self.joints)) / float(np.median(self.std))
         residual, jacobian = np.zeros(len(fitted)), np.zeros((len(fitted), len(numbers)))

@@ -91,12 +91,12 @@ class Measurements(Observations):
 
     @property
     def rows_per_pose(self) -> int:
-        """Number of scalar observations per pose: 6 for poses, 3 for positions."""
+        """Number of scalar equations per measured pose: 6 for full poses, 3 for positions."""
         return 3 if self.rotation is None else 6
 
     @property
     def row_weights(self) -> Array:
-        """Weights of a pose's 3 or 6 coordinates: one over their standard uncertainties."""
+        """Weights of the 3 or 6 coordinates of a measured pose: one over their standard uncertainties."""
         return np.asarray(1.0 / np.repeat([self.position_std, self.attitude_std], 3)[: self.rows_per_pose])
 
     def difference(self, model: Geometry | ArmModel) -> Array:
@@ -126,7 +126,7 @@ class Measurements(Observations):
         return self.difference(model)[:, :3]
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Return the row and channel of each equation; positions are channel 0, attitudes channel 1."""
+        """Return row (index from 0) and channel of each equation ``(E,)``; positions are channel 0, attitudes 1."""
         channels = np.repeat([0, 1], 3)[: self.rows_per_pose]
         return np.repeat(np.arange(len(self)), self.rows_per_pose), np.tile(channels, len(self))
 
@@ -140,7 +140,7 @@ class Measurements(Observations):
         return self
 
     def joinable(self, other: Measurements) -> bool:
-        """Return whether two data sets can be joined: same kind and frames, and about the same uncertainty."""
+        """Return whether two data sets can be joined: same kind, same `frames`, and about the same uncertainty."""
         stds, others = (self.position_std, self.attitude_std), (other.position_std, other.attitude_std)
         return (self.kind, self.frames) == (other.kind, other.frames) and np.allclose(others, stds, ALIKE, 0.0)
 
@@ -187,7 +187,11 @@ def joint_columns(prismatic: Sequence[bool]) -> list[str]:
 
 
 def screen_unit(length: bool) -> tuple[str, float]:
-    """Return the unit in files and on screens (mm for a length, deg for an angle), and the factor from m or rad."""
+    """Return the unit in files and on screens, and the factor from m or rad.
+
+    Args:
+        length: True for a length, in mm; False for an angle, in deg.
+    """
     return ("mm", 1e3) if length else ("deg", float(np.degrees(1.0)))
 
 
@@ -197,7 +201,13 @@ def screen_units(prismatic: Sequence[bool]) -> Array:
 
 
 def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.object_]) -> Path:
-    """Write a CSV file with a header; numbers keep all their digits."""
+    """Write a CSV file with a header and return its path; numbers keep all their digits.
+
+    Args:
+        path: The file.
+        names: Names of the k columns.
+        values: The table ``(N, k)``.
+    """
 
     def write(temporary: Path) -> None:
         with temporary.open("w", newline="", encoding="utf-8") as file:
@@ -303,8 +313,8 @@ class InstrumentStation:
         base: Starting value of the station's own base frame; None if the station uses the arm's base frame.
         tool: Starting value of the station's own tool frame; None if the station uses the arm's tool frame.
         scale: Factor on the data's standard uncertainties, which weighs instruments by their scatter.
-        owners: Number of the station that owns a frame, by the frame's name ("base" or "tool"). This station owns the
-            frames that are not listed.
+        owners: Number, from 1, of the station that owns a frame, by the frame's name ("base" or "tool"). This station
+            owns the frames that are not listed.
     """
 
     data: Observations
@@ -354,8 +364,11 @@ class InstrumentStation:
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Return whitened derivatives with respect to the arm's parameters and to the station's unknowns.
 
-        The station's own frames are among the unknowns. The columns of these frames among the arm's parameters are
-        zero.
+        If the station has a frame of its own, the arm's columns of that frame are zero.
+
+        Args:
+            model: The arm, with the first station's frames.
+            unknowns: Values of the station's unknowns, in the order of `unknowns`.
         """
         by_arm, by_own = self.data.jacobian(*self.seen(model, unknowns))
         columns = np.concatenate([np.zeros(0, int), *(frame_columns(model.geometry, frame) for frame in self.frames)])
@@ -438,17 +451,17 @@ class Stacked(Observations):
 
     @property
     def groups(self) -> Rows:
-        """Group of each row for splits ``(N,)``; no two stations share a group."""
+        """Number, from 0, of each row's group for splits ``(N,)``; no two stations share a group."""
         return _numbered([part.groups for part in self.parts])
 
     @property
     def rows_of_misses(self) -> Rows:
-        """The row that each miss belongs to."""
+        """Index, from 0, of the row that each miss belongs to ``(R,)``; rows are counted through all stations."""
         rows = zip(self.parts, self._first_rows(), strict=True)
         return np.concatenate([part.rows_of_misses + first for part, first in rows])
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Return the row and channel of each equation; no two stations share a channel."""
+        """Return the indices, from 0, of row and channel of each equation ``(E,)``; no two stations share a channel."""
         parts = [part.equations() for part in self.parts]
         rows = [np.where(row >= 0, row + first, -1) for (row, _), first in zip(parts, self._first_rows(), strict=True)]
         return np.concatenate(rows), _numbered([channels for _, channels in parts])
@@ -467,11 +480,12 @@ class Stacked(Observations):
 
     @cached_property
     def _places(self) -> list[Rows]:
-        """Indices of each station's unknowns among the unknowns of all stations."""
+        """Indices, from 0, of each station's unknowns among the unknowns of all stations."""
         place = {name: i for i, name in enumerate(self.unknowns())}
         return [np.array([place[name] for name in station.unknowns()], dtype=int) for station in self.stations]
 
     def _of_all(self, parts: Sequence[Array]) -> Array:
+        """Return one array over the unknowns of all stations, from an array of each station's unknowns."""
         values = np.zeros(len(self.unknowns()))
         for places, part in zip(self._places, parts, strict=True):
             values[places] = part
@@ -555,18 +569,25 @@ class Stacked(Observations):
         return replace(rows, position=position, rotation=rotation)
 
     def channels_of(self, other: Observations) -> Rows:
-        """Return the indices of the channels that ``other`` has too; ``other`` may lack some of the stations."""
+        """Return the indices, from 0, of this data set's channels that ``other`` has too.
+
+        Args:
+            other: Rows of the same stations; some stations may be missing.
+        """
         starts = zip(self.stations, self._first_channels(), strict=True)
         channels = {station.number: station.data.channels_of(station.data) + first for station, first in starts}
         return np.concatenate([channels[station.number] for station in other.stations])
 
     def _first_channels(self) -> list[int]:
+        """Return the index of each station's first channel among the channels of all stations."""
         return _starts([len(part.channels_of(part)) for part in self.parts])
 
     def _first_rows(self) -> list[int]:
+        """Return the index of each station's first row among the rows of all stations."""
         return _starts([len(part.joints) for part in self.parts])
 
     def _with(self, unknowns: Array) -> Iterable[tuple[InstrumentStation, Array]]:
+        """Return each station with its part of ``unknowns``, the unknowns of all stations."""
         return zip(self.stations, (unknowns[places] for places in self._places), strict=True)
 
 
@@ -593,15 +614,16 @@ def rows_together(parts: Sequence[Measurements]) -> Measurements:
 
 
 def frame_columns(geometry: Geometry, frame: str) -> Rows:
-    """Return the indices of the six parameters of a frame, "base" or "tool", among those of a geometry."""
+    """Return the indices ``(6,)`` of the parameters of ``frame``, "base" or "tool", in ``geometry.parameter_names``."""
     return 5 * geometry.links + 6 * OWN.index(frame) + np.arange(6)
 
 
 def _starts(counts: Sequence[int]) -> list[int]:
+    """Return the index at which each part starts if parts with these counts of entries are concatenated."""
     return [0, *np.cumsum(counts)[:-1].tolist()]
 
 
 def _numbered(parts: Sequence[Rows]) -> Rows:
-    """Concatenate the numbers of several parts, shifted so that no two parts share a number."""
+    """Concatenate arrays of numbers from 0, such as rows' groups, shifted so that no two arrays share a number."""
     first = _starts([int(part.max(initial=-1)) + 1 for part in parts])
     return np.concatenate([part + start for part, start in zip(parts, first, strict=True)])

@@ -69,9 +69,9 @@ class RowNoise:
         length: Distance of joints over which rows have that share in common, rad or m.
         common: Factor on variances of rows with the usual number of neighbours, which carry less information than
             independent ones.
-        shared: One entry per row whose m equations share the error of one pose. It has the indices of the equations,
-            orthonormal directions of that error among them ``(m, 6)``, and the share of each that whitening removes
-            ``(6,)``.
+        shared: One entry per row whose m equations share the error of one pose. It has the indices, from 0, of these
+            equations, orthonormal directions of that error in their space ``(m, 6)``, and the share of each direction
+            that whitening removes ``(6,)``.
         pose_std: Standard deviation of that shared error per axis: position, m, and attitude, rad.
     """
 
@@ -84,10 +84,11 @@ class RowNoise:
     pose_std: tuple[float, float] = (0.0, 0.0)
 
     def whiten(self, rows: Array) -> Array:
-        """Whiten equations ``(E + k, ...)`` by this noise; the last k belong to no instrument and are unchanged.
+        """Return equations ``(E + k, ...)``, whitened by this noise.
 
         Args:
-            rows: Equations in units of their stated standard uncertainties.
+            rows: Equations in units of their stated standard uncertainties. The last k, such as priors, belong to no
+                instrument and stay unchanged.
         """
         count = len(self.scatter)
         white = np.array(rows, dtype=float)
@@ -98,7 +99,7 @@ class RowNoise:
 
 
 def stated_noise(data: Observations) -> RowNoise:
-    """Return the noise that the data state, without errors shared between rows."""
+    """Return the noise by the standard uncertainties that the data state, without errors shared between rows."""
     rows, channels = data.equations()
     return RowNoise(np.ones(len(rows)), np.ones(int(channels.max(initial=0)) + 1))
 
@@ -162,14 +163,25 @@ def counted(joints: Array) -> Array:
 
 
 def _usual(like: Array, share: float) -> float:
-    """Return the quantile ``share`` of the neighbour counts ``like``; in it, a cluster of rows counts as one row."""
+    """Return the quantile ``share`` (0 to 1) of the rows' neighbour counts; a cluster of rows counts as one row.
+
+    Args:
+        like: Effective number of neighbours of each row ``(N,)``, from `neighbours`.
+        share: The quantile.
+    """
     order = np.argsort(like)
     facts = np.cumsum(1.0 / like[order])
     return float(like[order][np.searchsorted(facts, share * facts[-1])])
 
 
 def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:
-    """Fit the share of the variance that neighbours have in common, and its length scale; both 0 if there is none."""
+    """Fit the share of the variance that neighbours have in common, and its length scale; both 0 without such a share.
+
+    Args:
+        joints: Joints ``(N, n)``, rad or m.
+        white: Residuals of the equations ``(E,)``, divided by their scatter.
+        rows: Index, from 0, of each equation's row ``(E,)``; -1 for an equation without a row.
+    """
     if len(joints) < 4 * POSE or (rows < 0).any() or len(white) % len(joints):
         return 0.0, 0.0
     columns = white.reshape(len(joints), -1)
@@ -203,7 +215,13 @@ def _of_pictures(
     scatter: Array,
     sizes: Array,
 ) -> RowNoise:
-    """Estimate the noise of rows with many equations: each channel's scatter, and the pose error that a row shares."""
+    """Estimate the noise of rows with many equations: each channel's scatter, and the pose error that a row's share.
+
+    For each of the E equations, ``tool`` has the derivatives with respect to the tool's pose ``(E, 6)``, ``residual``
+    the whitened residual, ``rows`` and ``channels`` the indices of row and channel, ``leverage`` the leverage, and
+    ``many`` whether the row has more than `POSE` equations. The standard deviations of equations, ``scatter`` ``(E,)``,
+    and of channels, ``sizes`` ``(C,)``, are changed in place.
+    """
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
     channel = np.array([channels[at[0]] for at in places])
     gram = np.stack([tool[at].T @ tool[at] for at in places])

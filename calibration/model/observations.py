@@ -95,7 +95,7 @@ class Origins:
 
     Attributes:
         files: The files.
-        file: Index into ``files`` of each row ``(N,)``.
+        file: Index, from 0, of each row's file in ``files`` ``(N,)``.
         line: Line of each row in its file ``(N,)``, from 1.
         clocks: The clocks of the recordings among the files.
         scene: Names of the sensor and of the target with which the rows were measured; empty if the files name none.
@@ -116,7 +116,7 @@ class Origins:
         return replace(self, file=self.file[rows], line=self.line[rows])
 
     def place(self, row: int) -> tuple[str, int]:
-        """Return the file and line of one row."""
+        """Return the file and line (from 1) of the row with index ``row`` (from 0)."""
         return self.files[int(self.file[row])], int(self.line[row])
 
 
@@ -156,7 +156,7 @@ class Stated:
         names: Names of the numbers.
         values: Stated values ``(K,)``; starting values of unknown numbers.
         std: Standard uncertainty of each number ``(K,)``: 0 if it is exact, infinite if it is unknown.
-        scales: Scale of each number's deviation ``(K,)``, in the number's unit.
+        scales: Typical deviation of each number ``(K,)``, in the number's unit, by which its Jacobian column is scaled.
     """
 
     names: tuple[str, ...]
@@ -166,12 +166,12 @@ class Stated:
 
     @property
     def free(self) -> Rows:
-        """Indices of the numbers that are fitted."""
+        """Indices, from 0, of the u numbers that are fitted ``(u,)``."""
         return np.flatnonzero(self.std > 0.0)
 
     @property
     def _known(self) -> Rows:
-        """Indices, among the fitted numbers, of those with a finite uncertainty."""
+        """Indices, from 0 among the fitted numbers, of those with a finite uncertainty."""
         return np.flatnonzero(np.isfinite(self.std[self.free]))
 
     def unknowns(self) -> tuple[str, ...]:
@@ -179,11 +179,11 @@ class Stated:
         return tuple(self.names[i] for i in self.free)
 
     def start(self) -> Array:
-        """Return stated values of the fitted numbers."""
+        """Return stated values ``(u,)`` of the fitted numbers."""
         return self.values[self.free]
 
     def whole(self, unknowns: Array) -> Array:
-        """Return all numbers ``(K,)``, with ``unknowns`` as the values of the fitted numbers."""
+        """Return all numbers ``(K,)``, with ``unknowns`` ``(u,)`` as the values of the fitted numbers."""
         values = self.values.copy()
         values[self.free] = unknowns
         return values
@@ -202,7 +202,10 @@ class Stated:
 
 
 def worked_out(question: Callable[[Any], Answer]) -> Answer:
-    """Turn a method into a cached property, which type checkers see as the plain attribute of the base class."""
+    """Turn the method ``question`` into a cached property, for an attribute that the base class declares.
+
+    Type checkers take the result for a plain attribute.
+    """
     return cast(Answer, cached_property(question))
 
 
@@ -225,10 +228,10 @@ class Observations:
         per_row: Names of the arrays that hold one entry per row, beside the joints.
         width: Number of equations of each miss.
         miss_unit: Unit of `misses` on screens: "mm" for metres, "deg" for radians.
-        rounding: Largest change of a reading by rounding to 0.01 mm or 0.001 deg, in m, rad or px. Instruments that
-            round so scatter by three times as much, so a pose that is measured again gives the same reading with a
-            probability of 0.2.
-        stations: The `InstrumentStation` of each data set, if these are several data sets in one fit (`Stacked`).
+        rounding: Largest change of a reading, in m, rad or px, if it is rounded to 0.01 mm or 0.001 deg. An instrument
+            that rounds so is taken to scatter by three times this change. A pose that is measured again then gives the
+            same reading with a probability of 0.2.
+        stations: The `InstrumentStation` of each data set, if several are stacked for one fit (`Stacked`); else empty.
     """
 
     joints: Array
@@ -259,7 +262,7 @@ class Observations:
 
     @cached_property
     def numbers(self) -> Stated:
-        """The instrument's own numbers; by default there are none."""
+        """The K numbers that describe the instrument, such as a wire's zero; by default there are none."""
         return Stated((), np.zeros(0), np.zeros(0), np.zeros(0))
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
@@ -286,7 +289,8 @@ class Observations:
             numbers: All of the instrument's numbers ``(K,)``.
 
         Returns:
-            Derivatives with respect to the arm's P parameters ``(..., P)`` and to the numbers ``(..., K)``.
+            Derivatives with respect to the arm's P parameters ``(..., P)`` and to the numbers ``(..., K)``. The leading
+            axes run over the readings.
         """
         raise NotImplementedError
 
@@ -312,7 +316,7 @@ class Observations:
 
         Args:
             model: The arm.
-            unknowns: Values of the data's own unknowns.
+            unknowns: Values of the data's own unknowns, in the order of `unknowns`.
         """
         return self.poses
 
@@ -327,7 +331,11 @@ class Observations:
         return self.poses
 
     def span(self, tool: Array) -> float:
-        """Return a size to compare `misses` with: the spread of positions ``(N, 3)``, m, or 1 rad for directions."""
+        """Return a size to compare `misses` with: the spread of the tool positions, m, or 1 rad for directions.
+
+        Args:
+            tool: Tool positions ``(N, 3)``, m.
+        """
         return 1.0 if self.miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
 
     def fingerprint(self) -> str:
@@ -335,11 +343,13 @@ class Observations:
         return hash_of(self.joints, self.readings())
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Return the derivatives ``(E, 6)`` of the equations with respect to the tool's pose, in the tool's axes."""
+        """Return the derivatives ``(E, 6)`` of the whitened equations with respect to the tool's pose, in its axes."""
         return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
 
     def channels_of(self, other: Observations) -> Rows:
-        """Return the indices of this data set's channels that ``other`` has too; by default all.
+        """Return the indices, from 0, of this data set's channels that ``other`` has too; by default all.
+
+        A channel holds readings of one unit and one uncertainty.
 
         Args:
             other: Other rows of the same instruments.
@@ -350,7 +360,8 @@ class Observations:
         """Return the data set with its stations weighed by their scatter; a data set of one station is unchanged.
 
         Args:
-            scales: Scatter by channel ``(C,)``.
+            scales: Scatter of each of the C channels ``(C,)``, in stated standard uncertainties. A channel holds
+                readings of one unit and one uncertainty.
         """
         return self
 
@@ -368,7 +379,7 @@ class Observations:
 
     @property
     def groups(self) -> Rows:
-        """Group of each row ``(N,)``, such as its socket; by default all rows are one group.
+        """Number, from 0, of each row's group ``(N,)``, such as its socket; by default all rows are group 0.
 
         A split holds out a share of every group.
         """
@@ -376,15 +387,15 @@ class Observations:
 
     @property
     def rows_of_misses(self) -> Rows:
-        """The row that each of `misses` belongs to ``(R,)``; by default each row has one miss."""
+        """Index, from 0, of the row that each of the R `misses` belongs to ``(R,)``; by default a row has one miss."""
         return np.arange(len(self.joints))
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Return row and channel of each equation of `residual` ``(E,)``; the row is -1 if an equation has none.
+        """Return the indices, from 0, of row and channel of each of the E equations of `residual`, both ``(E,)``.
 
-        A channel holds readings of one unit and one uncertainty; positions and attitudes of poses are two channels. By
-        default the equations of the misses come first, then those of the numbers, which belong to no row. All are in
-        one channel.
+        The row is -1 if an equation belongs to none. A channel holds readings of one unit and one uncertainty;
+        positions and attitudes of poses are two channels. By default all equations are in channel 0. The equations of
+        the misses come first, and then those of the instrument's numbers, which belong to no row.
         """
         extra = len(self.numbers.jacobian()) + len(self.bonds(self.numbers.values)[0])
         rows = np.concatenate([np.repeat(self.rows_of_misses, self.width), np.full(extra, -1)])
@@ -393,7 +404,11 @@ class Observations:
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Return the R misses of the data, that is measured minus predicted readings.
 
-        These are positions ``(R, 3)`` or lengths ``(R, 1)``, m, or directions ``(R, k)``, rad.
+        Misses are positions ``(R, 3)`` or lengths ``(R, 1)``, m, or directions ``(R, k)``, rad.
+
+        Args:
+            model: The arm.
+            unknowns: Values of the data's own unknowns, in the order of `unknowns`.
         """
         return self.missed(model, self.numbers.whole(unknowns))
 
@@ -404,7 +419,10 @@ class Observations:
         return np.concatenate([self.whitened(model, numbers).ravel(), statements, self.bonds(numbers)[0]])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Return whitened derivatives with respect to arm parameters ``(E, 5n + 12 + k)`` and unknowns ``(E, u)``."""
+        """Return whitened derivatives with respect to arm parameters ``(E, 5n + 12 + k)`` and unknowns ``(E, u)``.
+
+        The arm has 5n + 12 geometric parameters and k coefficients of terms.
+        """
         numbers, free = self.numbers.whole(unknowns), self.numbers.free
         by_arm, by_numbers = self.derivatives(model, numbers)
         by_arm = by_arm.reshape(-1, by_arm.shape[-1])
@@ -436,7 +454,7 @@ class Observations:
 
 
 def hash_of(*parts: Array) -> str:
-    """Return one hash over all arrays, rounded to 1e-9 m or rad; writing and reading a CSV file keeps it."""
+    """Return one hash over all arrays, rounded to 1e-9 m or rad, so that a copy read from a CSV file has the same."""
     integers = [np.rint(part * 1e9).astype(np.int64) for part in parts]
     return hashlib.sha256(b"".join(part.tobytes() for part in integers)).hexdigest()[:16]
 
@@ -489,12 +507,12 @@ pose."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:
-    """Return the indices of at most ``most`` of ``rows`` rows, equally spaced."""
+    """Return the indices, from 0, of at most ``most`` of ``rows`` rows, equally spaced."""
     return np.unique(np.linspace(0, rows - 1, most).astype(int))
 
 
 def same_poses(joints: Array) -> Rows:
-    """Return the number of each row's pose ``(N,)``; poses are numbered in the order of their first rows.
+    """Return the number of each row's pose ``(N,)``; poses are numbered from 0 in the order of their first rows.
 
     Rows whose joints all differ by `SAME_POSE` or less are of one pose, and so are chains of such rows. A chain that
     extends over more than `PATH` is a slow path rather than a pose; it is cut into cells of `SAME_POSE`.
@@ -534,7 +552,7 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
         rng: Shuffles the poses.
 
     Returns:
-        Indices of the training rows and of the held-out rows.
+        Indices, from 0, of the training rows and of the held-out rows.
 
     Raises:
         InputError: If ``test_rows`` leaves nothing to train on, or nothing to test.
@@ -550,16 +568,16 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
 def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
     """Draw the training rows and the held-out rows of one data set.
 
-    Rows are held out of every socket and every station, and each of them keeps training rows. Rows of one pose stay on
-    one side, also if several stations measured that pose.
+    Every socket and every station has held-out rows and training rows. Rows of one pose are all held out or all trained
+    on, also if several stations measured that pose.
 
     Args:
         observations: The data.
-        test_rows: Number of rows to hold out; a fifth when left out.
+        test_rows: Number of rows to hold out; None for a fifth of the rows.
         rng: Draws the split.
 
     Returns:
-        Indices of the training rows and of the held-out rows.
+        Indices, from 0, of the training rows and of the held-out rows.
 
     Raises:
         InputError: If ``test_rows`` leaves nothing to train on, or nothing to test. Also if a socket or station would
@@ -594,10 +612,10 @@ def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows
 
     Args:
         poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
-        test_rows: Number of rows to hold out in all, if no pose is repeated; a fifth when left out.
+        test_rows: Number of rows to hold out in all, met exactly if no pose is repeated; None for a fifth of the rows.
 
     Returns:
-        Indices of the training rows and of the held-out rows, in file order.
+        Indices, from 0, of the training rows and of the held-out rows, both ascending.
 
     Raises:
         InputError: If ``test_rows`` leaves nothing to train on, or the two runs would meet.
@@ -618,7 +636,7 @@ def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows
 
 
 def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, Rows]]:
-    """Cut the poses of each group into contiguous parts; fold i holds out part i of every group.
+    """Cut the poses of each group into as many contiguous parts as there are folds; fold i holds out part i of each.
 
     Args:
         groups: Group of each row ``(N,)``, such as its socket or station.
@@ -627,7 +645,7 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
             that none is empty. If every group has one pose, all count as one group.
 
     Returns:
-        Indices of the training rows and of the held-out rows, for each fold.
+        Indices, from 0, of the training rows and of the held-out rows, for each fold.
 
     Raises:
         InputError: If there are fewer than two folds, or fewer poses than folds.
@@ -662,6 +680,12 @@ def home_groups(groups: Rows, poses: Rows) -> Rows:
 
 
 def _check(poses: Rows, test_rows: int) -> None:
+    """Raise an `InputError` unless there are two poses or more and ``test_rows`` leaves rows to train on and to test.
+
+    Args:
+        poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
+        test_rows: Number of rows to hold out.
+    """
     rows, count = len(poses), len(np.unique(poses))
     if count < 2:
         rows_in_words = "is 1 row" if rows == 1 else f"are {rows} rows of one pose" if rows else "is 0 row"

@@ -2,9 +2,9 @@
 
 A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is the
 target's if the camera is on the tool, and the camera's if it watches a target on the tool. Of camera and target, one is
-fixed in the world, and the other is on the flange. The fitted base says where the first one is, and the fitted tool
-where the second one is. The only unknowns of this kind are the numbers of the lens, if they are fitted. SI units;
-pictures in px.
+fixed in the world, and the other is on the flange. The fitted base gives the pose of the fixed one, and the fitted tool
+the pose of the one on the flange. The only unknowns of this kind are the numbers of the lens, if they are fitted. SI
+units; pictures in px.
 """
 
 from __future__ import annotations
@@ -64,7 +64,12 @@ def projected(values: Array, points: Array) -> Array:
 
 
 def distorted(values: Array, ideal: Array) -> Array:
-    """Apply the lens' distortion to the slopes x / z and y / z ``(..., 2)`` of rays; return the new slopes."""
+    """Return the slopes ``(..., 2)`` of rays after the lens' distortion.
+
+    Args:
+        values: The lens' numbers ``(9,)``, in the order of `LENS_NAMES`.
+        ideal: Slopes x / z and y / z of the rays without distortion ``(..., 2)``.
+    """
     k1, k2, p1, p2, k3 = values[4:]
     x, y = ideal[..., 0], ideal[..., 1]
     r2 = x * x + y * y
@@ -80,7 +85,7 @@ def undistorted(values: Array, pixels: Array) -> Array:
     The distortion is inverted by fixed-point iteration.
 
     Args:
-        values: The lens' numbers ``(9,)``.
+        values: The lens' numbers ``(9,)``, in the order of `LENS_NAMES`.
         pixels: Pixels ``(..., 2)``.
     """
     slopes = (pixels - values[2:4]) / values[:2]
@@ -91,7 +96,10 @@ def undistorted(values: Array, pixels: Array) -> Array:
 
 
 def by_point(values: Array, points: Array) -> Array:
-    """Compute the derivative of the pixels (`projected`) with respect to the points ``(..., 2, 3)``, px per m."""
+    """Compute the derivative of the pixels (`projected`) with respect to the points ``(..., 2, 3)``, px per m.
+
+    The arguments are those of `projected`.
+    """
     z = points[..., 2]
     x, y = points[..., 0] / z, points[..., 1] / z
     k1, k2, p1, p2, k3 = values[4:]
@@ -109,7 +117,10 @@ def by_point(values: Array, points: Array) -> Array:
 
 
 def by_values(values: Array, points: Array) -> Array:
-    """Compute the derivative of the pixels (`projected`) with respect to the lens' numbers ``(..., 2, 9)``."""
+    """Compute the derivative of the pixels (`projected`) with respect to the lens' numbers ``(..., 2, 9)``.
+
+    The arguments are those of `projected`.
+    """
     fx, fy = values[:2]
     ideal = points[..., :2] / points[..., 2:]
     bent = distorted(values, ideal)
@@ -147,7 +158,7 @@ class PixelObservations(Observations):
         lens_std: Standard uncertainty of each of the lens' numbers ``(9,)``: 0 if it is exact, infinite if it is
             unknown.
         std: Standard uncertainty of a corner's coordinate ``(V, K)``, px.
-        mount: Where the camera is.
+        mount: "hand" for a camera on the arm's tool, "world" for one fixed in the world with the board on the tool.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: Picture or file and line of each view; None if the views come from no file.
@@ -181,12 +192,12 @@ class PixelObservations(Observations):
 
     @property
     def views(self) -> PixelObservations:
-        """This data set."""
+        """The rows as `PixelObservations`, which are this data set itself."""
         return self
 
     @property
     def rows_of_misses(self) -> Rows:
-        """The view of each miss ``(R,)``; there is one miss per corner found."""
+        """Index, from 0, of each miss's view ``(R,)``; there is one miss per corner found."""
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
@@ -258,14 +269,20 @@ class PixelObservations(Observations):
         return np.asarray((self.board - tool.position[:, None]) @ tool.rotation)
 
     def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
-        """Return measured minus predicted pixels ``(R, 2)`` of the corners that were found, view by view."""
+        """Return measured minus predicted pixels ``(R, 2)`` of the corners that were found, view by view.
+
+        Args:
+            model: The arm.
+            unknowns: Values of the lens' fitted numbers.
+        """
         return self._errors(model, self.numbers.whole(unknowns))
 
     def _errors(self, model: ArmModel, values: Array) -> Array:
+        """Return `pixel_errors`, given all of the lens' numbers ``(9,)``."""
         return np.asarray((self.corners - projected(values, self.in_camera(model)))[self.seen])
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Return the errors of the corners that were found, as lengths at the board's distance ``(R, 2)``, m."""
+        """Return measured minus predicted places of the corners found, as lengths at their distance ``(R, 2)``, m."""
         return np.asarray(self._errors(model, numbers) * self.in_camera(model)[self.seen][:, 2:] / numbers[:2])
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
@@ -277,7 +294,11 @@ class PixelObservations(Observations):
         return np.where(self.seen[..., None], self.corners, 0.0).reshape(len(self.joints), -1)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Return whitened derivatives of the projected corners by arm parameters and by the lens' numbers."""
+        """Return whitened derivatives of the pixels of the R corners found.
+
+        Returns:
+            Derivatives with respect to the arm's parameters ``(R, 2, P)`` and to the lens' numbers ``(R, 2, 9)``.
+        """
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         rows, _ = np.nonzero(self.seen)
         points = self.in_camera(model)[self.seen]

@@ -54,7 +54,7 @@ class Prior(Observations):
 
     Attributes:
         reference: The arm whose parameters have the expected values.
-        columns: Indices of the parameters that have this prior ``(k,)``.
+        columns: Indices of the k parameters with this prior in the arm's ``parameter_names`` ``(k,)``.
         std: Standard deviations ``(k,)``, in the parameters' units.
     """
 
@@ -118,7 +118,7 @@ class PriorModel:
         return np.asarray(self.std * np.array([self.scales.get(name, 1.0) for name in self.group]))
 
     def prior(self, weight: float = 1.0) -> Prior:
-        """Return the priors of finite width as a data set, with their widths divided by ``weight``."""
+        """Return the priors of finite width as a data set; ``weight`` divides the widths, so 2 halves them."""
         some = np.isfinite(self.std)
         return Prior(self.start, self.parameters.columns[some], self.width[some] / weight)
 
@@ -130,8 +130,8 @@ class PriorModel:
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
         """Return this model with further terms, whose coefficients are expected at zero.
 
-        Factors on widths that were estimated without the terms are left out. Without the terms, the rows seemed noisier
-        than they are, and the parts more accurate.
+        Factors in ``scales`` that were estimated without the terms are dropped. In such an estimate the rows seem
+        noisier than they are, and the parts more accurate.
         """
         if not terms:
             return self
@@ -191,7 +191,10 @@ def expected_sizes(model: ArmModel) -> Array:
 
 
 def _groups(parameters: ErrorModel, geometry: Geometry, known: bool) -> NDArray[np.str_]:
-    """Return the group of each parameter ``(P,)``; base and tool count as parts of the arm if the frames are known."""
+    """Return the group of each parameter ``(P,)``: `FRAMES`, `ZEROS`, `LENGTHS` or `ANGLES`.
+
+    If ``known``, that is if base and tool are known, their parameters count as lengths and angles of parts.
+    """
     frame = np.array([name.startswith(("base_", "tool_")) for name in parameters.names])
     zero = np.isin(parameters.columns, arm_model.joint_zeros_model(geometry).columns)
     part = np.where(geometry.parameter_is_angle[parameters.columns], ANGLES, LENGTHS)

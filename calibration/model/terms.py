@@ -54,7 +54,7 @@ class ComplianceTerm(JointTerm):
         return np.array([1e-5 if geometry.prismatic[i] else 1e-4 for i in self.joints])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Return the compliant joints, and their torques ``(N, k)``, N*m or N."""
+        """Return the indices of the compliant joints, from 0, and their torques ``(N, k)``, N*m or N."""
         return self.joints, self.torques(geometry, joints, conditions)[:, self.joints]
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
@@ -103,7 +103,7 @@ class PeriodicTerm(JointTerm):
         return 1e-3 * np.repeat([1.0 if geometry.prismatic[i] else 3.0 / order for i, order in pairs], 2)
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Return each coefficient's joint, and the sine and cosine of each harmonic ``(N, k)``."""
+        """Return each coefficient's joint (index from 0), and the sine and cosine of each harmonic ``(N, k)``."""
         angle = joints[:, self.joints] * np.array(self.orders)
         return np.repeat(self.joints, 2).tolist(), np.stack([np.sin(angle), np.cos(angle)], -1).reshape(len(joints), -1)
 
@@ -134,7 +134,7 @@ class OrderTerm(JointTerm):
         return np.full(len(self.wave.orders), ORDER_TOLERANCE)
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Return each harmonic's joint, and the joint's motion per unit change of the order ``(N, k)``, rad or m."""
+        """Return each harmonic's joint (from 0), and its motion per unit change of the order ``(N, k)``, rad or m."""
         turned = joints[:, self.wave.joints]
         angle = turned * np.array(self.wave.orders)
         slope = np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle)
@@ -208,11 +208,11 @@ class GravityTerm(JointTerm):
         return np.full(len(self.moments(geometry)), 1e-3)
 
     def owners(self, geometry: Geometry) -> NDArray[np.int64]:
-        """Return the joint that each coefficient belongs to ``(k,)``, from 0."""
+        """Return the index, from 0, of the joint that each coefficient belongs to ``(k,)``."""
         return np.array([i for i, _, _ in self.moments(geometry)])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Return each coefficient's joint ``(k,)``, and the torque on it per unit of the moment ``(N, k)``."""
+        """Return each coefficient's joint (from 0), and the torque on that joint per unit of the moment ``(N, k)``."""
         return self.owners(geometry).tolist(), self.torques(geometry, joints, conditions)
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
@@ -242,10 +242,15 @@ class GravityTerm(JointTerm):
         return np.stack(torques).T
 
     def weighed(self, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:
-        """Return a compliance term for these joints, with the moments fitted to the measured torques.
+        """Return a compliance term for the same joints, with the links' moments fitted to the measured torques.
 
-        The term can then predict torques where none are measured, for instance at targets. Moments that the poses do
+        The compliance term predicts torques where none are measured, for instance at targets. Moments that the poses do
         not determine stay small.
+
+        Args:
+            geometry: The arm.
+            joints: Joints ``(N, n)``, rad or m, at which the torques were measured.
+            conditions: Conditions with measured torques.
         """
         assert conditions.torque is not None
         columns, owners = self.torques(geometry, joints, conditions), self.owners(geometry)
@@ -255,11 +260,11 @@ class GravityTerm(JointTerm):
         return ComplianceTerm(self.joints, self, tuple(moments.tolist()))
 
     def with_masses(self, geometry: Geometry, load: Load) -> ComplianceTerm:
-        """Return a compliance term for these joints under the weight of known masses.
+        """Return a compliance term for the same joints under the weight of known masses.
 
         Args:
             geometry: The arm.
-            load: Its masses, one entry per link.
+            load: Masses and centres of mass of the arm's links, one entry per link.
         """
         moments = []
         for i, j, moment in self.moments(geometry):
@@ -278,7 +283,7 @@ class GravityTerm(JointTerm):
 
 
 def _from_base(geometry: Geometry) -> Geometry:
-    """Return the geometry with poses relative to its base, in whose axes the direction up is known."""
+    """Return the geometry with poses relative to frame 0, where the direction up is known; a chain is unchanged."""
     return geometry if geometry.tree is None else geometry.between(-1, geometry.tree.target)
 
 
@@ -302,11 +307,11 @@ class BendingTerm(Term):
     payload is not part of the masses.
 
     Attributes:
-        links: Indices of the links that yield where they are joined, from 0.
+        links: Indices, from 0, of the links whose joints yield.
         up: Direction opposite to gravity, in the axes of frame 0.
         mass: Mass of each link ``(L,)``, kg.
         centre: Centre of mass of each link in its frame ``(L, 3)``, m.
-        pivots: Position along each link's axis, from its frame, at which it is joined to the link before ``(L,)``, m.
+        pivots: Where each link is joined to its parent: position along the link's axis, from its frame ``(L,)``, m.
     """
 
     links: tuple[int, ...]
@@ -347,7 +352,7 @@ def bending_of(arm: Arm, links: Sequence[int] | None = None) -> BendingTerm:
 
     Args:
         arm: The arm.
-        links: Indices of the links that yield; all that move if left out.
+        links: Indices, from 0, of the links whose joints yield; None for all links that move.
     """
     assert arm.load is not None
     which = np.flatnonzero(arm.nominal.ratios) if links is None else np.array(links)
@@ -357,10 +362,10 @@ def bending_of(arm: Arm, links: Sequence[int] | None = None) -> BendingTerm:
 
 
 def weight_of(geometry: Geometry, payload: bool = False) -> GravityTerm:
-    """Return the gravity term of all joints; the base of ``geometry`` defines which direction is up.
+    """Return the gravity term of all joints.
 
     Args:
-        geometry: The arm.
+        geometry: The arm, whose base defines which direction is up.
         payload: Whether the payload has separate coefficients.
     """
     up = geometry.base.rotation.T @ np.array([0.0, 0.0, 1.0])
@@ -369,6 +374,7 @@ def weight_of(geometry: Geometry, payload: bool = False) -> GravityTerm:
 
 @lru_cache(maxsize=16)  # asked for at every step of a corrected arm
 def _moments(term: GravityTerm, geometry: Geometry) -> tuple[tuple[int, int, str], ...]:
+    """Return the joint, link and moment of each coefficient, as `GravityTerm.moments` describes them; cached."""
     moments: list[tuple[int, int, str]] = []
     for i in term.joints:
         driven = [link for link, _ in geometry.links_of(i)]
@@ -393,7 +399,7 @@ KINDS: dict[str, type] = {
 
 
 def kind_of_term(term: Term) -> str:
-    """Return the name of a term's kind."""
+    """Return the name of a term's kind, a key of `KINDS`."""
     return next(name for name, kind in KINDS.items() if isinstance(term, kind))
 
 

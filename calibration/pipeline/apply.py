@@ -53,8 +53,8 @@ class CorrectedCommands:
         uncertainty: Standard uncertainty of the reached position ``(N,)``, m, and attitude ``(N,)``, rad; each None if
             unknown.
         within95: Bounds on 95 of 100 errors of position ``(N,)``, m, and attitude ``(N,)``, rad; each None if unknown.
-        reasons: The reason why a target is not reached, by the index of the target.
-        lines: Line of each target in its file.
+        reasons: The reason why a target is not reached, by the index of the target, from 0.
+        lines: Line of each target in its file, from 1.
         prismatic: For each joint, whether it is prismatic.
         caution: The cautions of the calibration's verdict; None if there are none.
     """
@@ -103,7 +103,7 @@ class CorrectedCommands:
         return "\n".join(lines + [f"  row {self.lines[i]}: {reason}" for i, reason in self.reasons.items()])
 
     def _expected(self) -> list[str]:
-        """Lines on the errors that are expected at the targets that are reached."""
+        """Return lines for `report` on the errors that are expected at the targets that are reached."""
         parts = (self.before, self.remaining, self.impossible)
         before, after, never = ([float(size[self.reached].mean()) for size in _sizes(error)] for error in parts)
         lines = [
@@ -255,6 +255,12 @@ def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
 
 
 def _carried(pose: Pose, believed: Geometry, fitted: Geometry) -> Pose:
-    """Express a tool pose that is given in the controller's frame in the instrument's frame, for the fitted tool."""
+    """Return tool poses of the controller's frame as poses of the fitted tool in the instrument's frame.
+
+    Args:
+        pose: Poses in the controller's frame.
+        believed: The arm's geometry with the controller's base and tool.
+        fitted: The geometry with the fitted base and tool.
+    """
     flange = behind(behind(inverse_pose(believed.base), pose), inverse_pose(believed.tool))
     return behind(behind(fitted.base, flange), fitted.tool)

@@ -150,6 +150,7 @@ class PoseUncertainty:
         return self._radii(self.standard(model, joints, conditions))
 
     def _radii(self, standard: tuple[Array, Array | None]) -> tuple[Array | None, Array | None]:
+        """Return the bounds `within95` from the standard uncertainties (`standard`) of position and attitude."""
         position, attitude = (
             None if size is None or name not in self.factors else self.factors[name]["factor"] * size
             for name, size in zip(QUANTITIES, standard, strict=True)
@@ -216,8 +217,8 @@ class PoseUncertainty:
                 large.
             joints: Joints of each error's row ``(N, n)``, rad or m. If given, the bounds on 95 of 100 errors are
                 computed too.
-            blocks: Number of the block of rows that each error belongs to ``(N,)``, if errors of one block are
-                correlated.
+            blocks: For each error, an integer that is the same for all errors of one block of rows ``(N,)``, which are
+                correlated. If None, blocks are contiguous tenths of the poses.
             conditions: Payload and temperature of each error's row, if known.
             unit: "deg" if ``errors`` are misses of directions ``(N, k)``, rad. The uncertainty of positions then
                 comes from the parameters alone.
@@ -289,18 +290,18 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
 
 
 def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
-    """Compute the factor such that 95 of 100 errors are smaller than the factor times their expected size.
+    """Compute the factor such that 95 of 100 errors are smaller than the factor times their expected RMS size.
 
     Args:
         joints: Joints of each error's row ``(R, n)``, rad or m.
         squares: Squared norms of the errors ``(R,)``, m^2 or rad^2.
         variance: Part of each expected square that the parameters cause ``(R,)``, in the unit of ``squares``.
-        blocks: Number of the block of rows that each error belongs to ``(R,)``; if None, contiguous tenths of the
-            poses.
+        blocks: For each error, an integer that is the same for all errors of one block of rows ``(R,)``; if None,
+            blocks are contiguous tenths of the poses.
 
     Returns:
-        The entry "factor", and the entry "covered": the share of errors that are below a bound from the other blocks.
-        None if there are too few errors or blocks.
+        The entry "factor", and the entry "covered": the share of errors below their bound, where each block's bound
+        comes from all other blocks. None if there are too few errors or blocks.
     """
     count = len(squares)
     if count < 2 * BLOCKS:
@@ -320,7 +321,7 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
 
 
 def _quantile(ratio: Array) -> float:
-    """Return the 95 % conformal quantile of n ratios: that of rank 0.95 (n + 1), rounded up, or else the largest."""
+    """Return the 95 % conformal quantile of n ratios: the one of rank 0.95 (n + 1), rounded up, but n at most."""
     rank = int(np.ceil(SHARE * (len(ratio) + 1)))
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])
 
@@ -338,7 +339,7 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
 
 
 def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:
-    """Mark the rows ``(N,)`` that lie in the region where the arm was measured.
+    """Return a mask ``(N,)`` of the rows that lie in the region where the arm was measured.
 
     A row lies there if a fitted row is near and the parameters cause little uncertainty of its pose (`VAGUE`).
 
@@ -545,11 +546,11 @@ class Calibration:
         return self.identified
 
     def compensate(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Compute joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m."""
+        """Compute joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m (see `compensator`)."""
         return self.compensator(conditions=conditions)(joints)
 
     def predict(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
-        """Predict the true tool pose at joint commands ``(..., n)``, rad or m."""
+        """Predict the true tool pose at joint commands ``(..., n)``, rad or m, in the frame of `identified`."""
         return self.compensator(conditions=conditions, fast=False).predict(joints)
 
     def errors(self, data: Measurements, turn: Array | None = None) -> Array:
@@ -678,7 +679,7 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
 
 
 def _learnt(kind: str | None, arrays: Mapping[str, NDArray[Any]], geometry: Geometry) -> LearntResidual | None:
-    """Make the learnt residual that the header names, and evaluate it once at the middle of the joint ranges."""
+    """Make the learnt residual of a file and evaluate it once; ``kind`` is its name in the header, None without one."""
     if kind is None:
         if arrays:
             raise InputError("it holds a learnt residual that its header does not name")

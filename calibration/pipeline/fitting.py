@@ -166,7 +166,7 @@ def fit_remainder(
 
     Args:
         found: The fit.
-        kind: Name of the residual model.
+        kind: Name of the residual model: "bpnn", "rbf" or "gp".
         data: Poses or positions from which the model learns.
         rng: Random generator of the model.
         settings: If given, the paper's network with these settings is trained, with the joints themselves as inputs.
@@ -232,10 +232,10 @@ class HeldOut:
             The last model is the one that the calibration uses.
         parametric: Errors of the last model without its learnt residual.
         used: Name of the model that judged the rows; if rows were held out block by block, one name per block.
-        blocks: Number of the block of rows that each error belongs to ``(M,)``; None if rows were held out once.
-        pixels: For pictures, the geometry's errors in px, one array per view; empty for other kinds.
-        row: Number of the row that each error belongs to ``(M,)``, if rows were held out once and have several errors
-            each, such as those of several reflectors or of a board's corners; else None.
+        blocks: Index, from 0, of each error's block of rows ``(M,)``; None if rows were held out once.
+        pixels: For pictures, errors in px of the fit of geometry alone, one array ``(R, 2)`` per view; else empty.
+        row: Index, from 0, of each error's row ``(M,)``, if rows were held out once and have several errors each, such
+            as those of several reflectors or of a board's corners; else None.
     """
 
     errors: dict[str, Array]
@@ -247,9 +247,10 @@ class HeldOut:
 
     @property
     def together(self) -> Rows | None:
-        """Number of the block or row whose errors count as correlated, for each error; None if each row has one error.
+        """Index, from 0, of each error's block or row, whose errors count as correlated ``(M,)``.
 
-        Fewer than `LEAST_ROWS` rows with several errors each count as one group, for which there is no interval.
+        None if rows were held out once and each row has one error. Fewer than `LEAST_ROWS` rows with several errors
+        each count as one group, for which there is no interval.
         """
         if self.blocks is not None or self.row is None or self._values >= LEAST_ROWS:
             return self.row if self.blocks is None else self.blocks
@@ -291,11 +292,12 @@ class HeldOut:
         return len(self.parametric) if numbers is None else len(np.unique(numbers))
 
     def _reason(self) -> str:
+        """Return `no_interval` in brackets after a space; empty if the mean error has an interval."""
         return f" ({self.no_interval})" if self.no_interval else ""
 
 
 def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
-    """Compute the errors of each step of a calibration on rows that were held out once.
+    """Compute the errors of the nominal arm and of each fit of a calibration on rows that were held out once.
 
     Args:
         fits: The fits by name, in order. The first fits the geometry alone; each further one adds one part (terms or a
@@ -320,12 +322,12 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
 
 
 def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:
-    """Sort held-out errors by the station (placement of the instrument and its target) of their rows.
+    """Return held-out errors sorted by the station (placement of the instrument and its target) of their rows.
 
     Args:
         held_out: The errors, ordered by the block of rows that was held out.
         train: The rows of all stations.
-        folds: For each block, the indices of the fitted rows and of the held-out rows.
+        folds: For each block, the indices, from 0, of the fitted rows and of the held-out rows.
     """
     rows = np.concatenate([rows_out[train.select(rows_out).rows_of_misses] for _, rows_out in folds])
     places = np.repeat(np.arange(len(train.parts)), [len(part.joints) for part in train.parts])
@@ -370,7 +372,10 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """Compute an identified arm's errors without a learnt residual: ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad."""
+    """Compute an identified arm's errors on data, without a learnt residual.
+
+    They have the shape ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
+    """
     tracked = tracked_rows(found, data)
     if tracked is None:
         return data.misses(found.arm_model, unknowns_of(found, data))
@@ -413,7 +418,7 @@ def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[
 
 
 def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
-    """Return the values of `pixel_figures` as a table; ``names`` are the names of the held-out views."""
+    """Return the values of `pixel_figures` as a table; ``names`` are the held-out views' names, in the same order."""
     by_view, ends = figures["leave_one_out_view_rms_px"], figures["leave_one_out_mean_ci95_px"]
     worst = int(np.argmax(by_view))
     between = "no interval: too few views"

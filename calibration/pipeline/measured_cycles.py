@@ -72,7 +72,7 @@ def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
 
 
 def _means(rows: Measurements, cycles: Sequence[Rows]) -> Measurements:
-    """Return one row for each pose: the mean of its cycles."""
+    """Return one row for each pose, the mean of its cycles; ``cycles`` are indices of each pose's rows, from 0."""
     first = rows.select([visits[0] for visits in cycles])
     rotation = None
     if rows.rotation is not None:
@@ -102,7 +102,7 @@ def _placed(arm: Arm, means: Measurements) -> tuple[list[str], Geometry]:
 
 
 def _without_accuracy(figures: dict[str, Any]) -> dict[str, Any]:
-    """Return the results of a pose, and of its drift, with None for those that need the arm's base."""
+    """Return the results of a pose (`pose_performance`) and of its drift, with None for those that need the base."""
 
     def without(part: dict[str, Any]) -> dict[str, Any]:
         return {key: None if key.startswith(("accuracy", "mean_error")) else value for key, value in part.items()}

@@ -60,7 +60,7 @@ class Result:
         train: The rows that the calibration was fitted to.
         test: The held-out rows. If rows were held out block by block, these are all rows, ordered by block.
         held_out: Errors on the held-out rows.
-        quality: The verdict and the findings behind it.
+        quality: The verdict and the findings that it comes from.
         uncertainty: Uncertainty of predicted poses.
         base_frame: Interval of the error in the robot's own base frame; None if base and tool were known.
         terms: The chosen terms and the errors of each candidate; None if terms were not chosen from the rows.
@@ -181,8 +181,8 @@ class Result:
         """95 % interval of the arm's own mean error in the instrument's frame, mm; None if there are too few rows.
 
         The upper end is that of the interval for the mean held-out error. If poses or positions were measured, the
-        instrument's noise is subtracted from the lower end. A held-out error contains this noise, the error of the arm
-        does not.
+        instrument's noise is subtracted from the lower end, because a held-out error contains this noise and the arm's
+        own error does not.
         """
         if self.best.mean_ci95 is None:
             return None
@@ -209,14 +209,17 @@ class Result:
 
     @property
     def _standard(self) -> tuple[Array, Array | None]:
-        """Standard uncertainties of position and attitude at the rows judged; of a whole robot, by station."""
+        """Standard uncertainties of position, m, and attitude, rad, at the held-out rows, both ``(M,)``.
+
+        The attitude's is None if only positions were measured. For a whole robot each station's base and tool are used.
+        """
         sure, test = self.uncertainty, self.test
         if self.arm.nominal.tree is None:
             return sure.standard(self.fit.calibration.model, test.joints, test.conditions)
         return sure.standard_of(variance_by_station(self.fit.identification, test) + sure.scatter)
 
     def blocks(self) -> tuple[screen.Block, ...]:
-        """Return the tables that terminal and HTML page show after verdict and frames; empty ones are left out."""
+        """Return the tables that terminal and HTML page show after verdict and frames; empty tables are left out."""
         over = self.quality.workspace
         blocks = [self._errors(), instrument.set_up_block(self.set_ups, self.stations)]
         blocks += [] if over is None else [over.block()]
@@ -297,9 +300,9 @@ class Result:
         return write_calibration_report(path, self, seeds)
 
     def summary(self) -> str:
-        """Return the most important results as text of at most 22 lines of 100 characters; `report` has the rest.
+        """Return the most important results as text of at most 22 lines of 100 characters; `report` returns all.
 
-        These are the verdict, cautions before use, held-out errors, and the expected errors where the arm will work.
+        They are the verdict, cautions before use, held-out errors, and the expected errors where the arm will work.
         """
         width = screen_width()
         lines = self._verdict_lines()
@@ -339,9 +342,11 @@ class Result:
         return "\n".join([*lines, *(block.text() for block in self.blocks())])
 
     def _verdict_lines(self) -> list[str]:
+        """Return the verdict and its reason, folded to the terminal's width."""
         return folded(f"verdict: {self.quality.grade.upper()}: {self.quality.reason}", screen_width())
 
     def _errors(self) -> screen.Block:
+        """Return the table of errors on held-out rows, one row per model."""
         figures = ("RMS", "mean", "95 % interval", "p95", "max")
         header: tuple[str, ...] = ("model", *(f"{name} ({self.miss_unit})" for name in figures))
         header += ("attitude mean (deg)",) if self.attitude else ()
@@ -374,6 +379,7 @@ class Result:
     def parameters(self) -> list[dict[str, Any]]:
         """Return each fitted parameter: its name, its unit, its change and its standard deviation, in that unit.
 
+        The change is that from the nominal geometry; for an instrument's own unknown it is the value itself.
         ``prior_std`` is the standard deviation before measuring. ``narrowed`` is the share, 0 to 1, by which the rows
         have narrowed the prior. Both are None if the parameter had no prior.
         """
@@ -396,11 +402,13 @@ class Result:
     def plain_parameters(self) -> list[dict[str, Any]]:
         """Return the entries of `parameters` except those that have tables of their own.
 
-        These are harmonics, compliances, and the frames of further set-ups; these count from an arbitrary start.
+        Left out are harmonics, compliances, and the frames of further set-ups. Changes of these frames say nothing,
+        because their starting values are arbitrary.
         """
         return [row for row in self.parameters() if not re.match(r"periodic|compliance|(base|tool)\d", row["name"])]
 
     def _parameters(self) -> screen.Block:
+        """Return the table of the parameters that moved (`has_moved`)."""
         every, rows = self.plain_parameters(), []
         for row in every:
             share = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
@@ -420,6 +428,7 @@ class Result:
         return f"expected beforehand: {prior.source}" + (f", the widths of {scales}" if scales else "")
 
     def _gate(self) -> screen.Block:
+        """Return the table of the verdicts on residual models."""
         rows = [("without", screen.figure(self.gate[0].geometric_blocked_rms * 1e3), "")]
         for v in self.gate:
             rows.append((v.model, "-" if v.blocked_rms is None else screen.figure(v.blocked_rms * 1e3), v.reason))
@@ -430,6 +439,7 @@ class Result:
         return screen.Block("Learnt residual models", header, tuple(rows), note, "residual_models")
 
     def _facts(self) -> screen.Block:
+        """Return the table of further facts: kind of measurement, condition number, iterations and clocks."""
         solution = self.geometric.identification
         rows = [
             ("measured", self.train.kind),

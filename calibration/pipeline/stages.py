@@ -47,8 +47,9 @@ class Choices:
     """Options of a calibration: which terms, residual model, frames and priors it uses, and how it treats outliers.
 
     Attributes:
-        terms: Parametric effects that are not geometric: "auto", names joined by "+", or "none".
-        residual: "auto", the name of a residual model, or "none".
+        terms: Parametric effects that are not geometric: "auto", names joined by "+" such as "gravity+periodic", or
+            "none".
+        residual: "auto", the name of a residual model such as "gp", or "none".
         force: Whether a named residual model is used although it does not improve held-out errors, or cannot be judged
             because there are fewer than 40 poses.
         robust: Whether outlier rows are left out. They are listed in either case.
@@ -84,7 +85,7 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse options that do not apply to the kind of measurement that the rows hold.
 
     Args:
-        train: The training rows; they are not poses or positions of one station.
+        train: The training rows, of another kind than poses or positions of one station.
         choices: The options.
 
     Raises:
@@ -226,6 +227,7 @@ def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = N
 
 
 def _each(columns: Columns) -> list[str | Path]:
+    """Return the descriptions of files' columns as a list; it is empty for None."""
     if columns is None:
         return []
     return [columns] if isinstance(columns, str | Path) else list(columns)
@@ -234,7 +236,11 @@ def _each(columns: Columns) -> list[str | Path]:
 def _joined(
     arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
 ) -> Observations:
-    """Join several data sets as stations of one arm, by ``stations`` or by their rows; a single one is unchanged."""
+    """Join several data sets as stations of one arm, by ``stations`` or by their rows; a single one is unchanged.
+
+    Without ``stations``, files of poses or positions within a set are grouped by their rows, too. The arguments are
+    those of `given_rows`, with ``sets`` in place of the files.
+    """
     named = any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
     if stations is not None and named:
         raise InputError("[scene] says which files share a base or a tool; leave `stations` out")
@@ -270,7 +276,7 @@ def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
 
 
 def _files(data: Any) -> list[Any]:
-    """Split measurements by file, and by series of a file."""
+    """Return measurements (`Observations`) as one data set for each file, and for each series of a file."""
     origins = origins_of(data)
     numbers = np.unique(origins.file)
     return [replace(data.select(origins.file == i), source=origins.files[i]) for i in numbers.tolist()]
@@ -390,7 +396,7 @@ def calibrate(
             of poses or positions are grouped into set-ups by their rows. For other kinds of measurement, files that
             share a description are then one data set, and each data set has its own base and tool.
         test: Rows to judge by; if None, some rows of ``data`` are held out.
-        split: How rows of ``data`` are held out. "random" holds some rows out and fits the calibration to the others.
+        split: How rows of ``data`` are held out. "random" holds some rows out and fits to all other rows.
             "blocked" holds out each of ten contiguous blocks of rows in turn. Each block is judged by a model that is
             fitted and chosen without it. The calibration itself is fitted to all rows. Pictures are always held out
             by blocks, and so are fewer than 40 poses unless ``test_rows`` is given. Up to 60 pictures, or 20 poses, are
@@ -448,6 +454,7 @@ def calibrate(
 
 
 def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
+    """Return the result of a draft that went through all stages, judged by its errors on held-out rows."""
     arm, fit, region = draft.arm, draft.best[1], workspace_joints(draft.choices.workspace, draft.arm.nominal)
     result = assess(
         arm, fit, draft.train, draft.test, fits=draft.fits, held_out=held_out, left_out=draft.left_out, workspace=region
@@ -456,10 +463,11 @@ def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
 
 
 def _judged_by_blocks(draft: Draft) -> Result:
-    """Calibrate with all rows, and judge each block by a calibration that the same stages make from the other blocks.
+    """Calibrate with all rows, and judge each block of rows by a calibration that is made from the other blocks alone.
 
     Terms are chosen anew without each block. A choice of residual models for each block would take too long, so they
-    are chosen only twice, on the odd and on the even blocks. Each block takes the choice made without it.
+    are chosen only twice, on the odd and on the even blocks. Each block takes the choice made without it. ``draft`` has
+    all rows for training and has gone through no stage.
     """
     checked = _check(draft)
     complete = _fitted(checked)
@@ -501,7 +509,10 @@ def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
 
 
 def _chosen(checked: Draft, rows: Rows) -> str | None:
-    """Return the name of the residual model that the stages choose on these rows; None if they choose none or fail."""
+    """Return the name of the residual model that the stages choose on some training rows (indices from 0).
+
+    The result is None if the stages choose no model or fail.
+    """
     choices, train = checked.choices, checked.train.select(rows)
     if choices.residual == "none" or choices.learn_from is not None:
         return None
@@ -514,7 +525,7 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
 
 
 def _check(draft: Draft) -> Draft:
-    """Refuse options that do not apply, and leave out outlier rows.
+    """Return the draft without outlier rows; refuse options that do not apply.
 
     A named residual model that is not forced is refused if too few rows are left to judge it.
     """
@@ -553,12 +564,12 @@ def _check(draft: Draft) -> Draft:
 
 
 def _fitted(draft: Draft) -> Draft:
-    """Go through all stages after the check of the rows."""
+    """Return a checked draft after all further stages: geometry, terms and learnt residual."""
     return _learn(_add_terms(_identify(draft)))
 
 
 def _identify(draft: Draft) -> Draft:
-    """Fit base and tool, if they are not known, and then the geometry with its priors."""
+    """Return the draft with its first fit: of base and tool, if they are not known, and then of the geometry."""
     arm, choices = draft.arm, draft.choices
     aligned = fitting.fit_frames(arm, draft.train, choices.frames == "known")
     start = arm.nominal if aligned is None else aligned.geometry
@@ -569,7 +580,10 @@ def _identify(draft: Draft) -> Draft:
 
 
 def _add_terms(draft: Draft) -> Draft:
-    """Add the wanted terms, dropping the last one until the fit converges; "auto" chooses within the training rows."""
+    """Return the draft with a fit that has the terms of ``choices.terms``; "auto" chooses them on the training rows.
+
+    While the fit does not converge, the last term is dropped. Without terms no fit is added.
+    """
     (name, geometric), choice = draft.best, None
     bare, known_frames = geometric.identification, geometric.aligned is None
     if draft.choices.terms != "auto":
@@ -591,7 +605,10 @@ def _add_terms(draft: Draft) -> Draft:
 
 
 def _learn(draft: Draft) -> Draft:
-    """Learn a residual model: the named one from ``choices.learn_from``, or one that wins within the training rows."""
+    """Return the draft with a fit that has a learnt residual model, if there is one to learn.
+
+    It is the named model, learnt from ``choices.learn_from``, or else a model that wins within the training rows.
+    """
     choices = draft.choices
     if choices.learn_from is not None:
         settings = (choices.settings or BpnnSettings()) if choices.residual == "bpnn" else None
@@ -610,13 +627,17 @@ def _learn(draft: Draft) -> Draft:
 
 
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
+    """Return the draft with a fit that adds the residual model ``kind``, learnt from ``data``.
+
+    ``settings`` are those of the paper's network; None for all other fits (see `fitting.fit_remainder`).
+    """
     name, best = draft.best
     report = None if draft.progress is None else partial(draft.progress, "training network")
     return draft.with_fit(f"{name}+{kind}", fitting.fit_remainder(best, kind, data, draft.rng, settings, report))
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[GateVerdict, ...]:
-    """Judge residual models within the training rows, and return their verdicts."""
+    """Judge the residual models ``names`` within the training poses or positions ``train``; return their verdicts."""
     data = train.select(observations.equally_spaced(len(train), GATE_ROWS))
     name, best = draft.best
     expected, fitted = best.identification.prior, best.identification.arm_model

@@ -168,10 +168,11 @@ def twin(
 
 
 def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:
-    """Return the indices of the geometry's dropped parameters, and how all parameters change with each of them.
+    """Return the indices, from 0, of the geometry's dropped parameters, and how all parameters change with each.
 
-    The changes are a matrix with one column per dropped parameter. In it, this parameter changes by 1, and those that
-    absorbed it change so that the poses stay equal.
+    The changes are a matrix with one row for each of ``names``, all parameters of the model, and one column per dropped
+    parameter. In a column, the dropped parameter changes by 1, and those that absorbed it change so that the poses stay
+    equal.
     """
     parameters = calibration.identified.parameter_names
     dropped: Mapping[str, Mapping[str, float]] = calibration.record.get("dropped", {})
@@ -186,9 +187,10 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 
 def _never_told(calibration: Calibration) -> list[str]:
-    """Return the parameters of base and tool that the rows say nothing of: the tool's attitude, by positions alone.
+    """Return the names of base and tool parameters that the rows do not determine, and that a twin does not vary.
 
-    They were free, so their posterior is as wide as metres, or turns; the twin leaves them where they are.
+    An example is the tool's attitude if only positions were measured. The posterior of such a parameter is as wide as
+    its prior: metres, or turns.
     """
     sure, names = uncertainty_from(calibration.record), calibration.model.parameter_names
     if sure is None:
@@ -198,7 +200,7 @@ def _never_told(calibration: Calibration) -> list[str]:
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
-    """Return a plant's layout of coefficients, and the matrix ``(k, t)`` that computes these from the terms'."""
+    """Return a plant's layout of k coefficients, and the matrix ``(k, t)`` from the terms' t coefficients to these."""
     sizes = [len(term.names(geometry)) for term in terms]
     units = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))  # the last part is empty
     harmonics, moments, up = [], [], (0.0, 0.0, 1.0)
@@ -217,7 +219,10 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
 def _moments(
     term: GravityTerm | ComplianceTerm, geometry: Geometry
 ) -> tuple[list[tuple[int, int, str]], Array, tuple[float, float, float]]:
-    """Return the moments that bend the joints, their sizes per coefficient of the term ``(k, t)``, and the upward axis.
+    """Return the k moments that bend the joints, their sizes per coefficient of the term ``(k, t)``, and where up is.
+
+    A moment is a joint, a link (both from 0) and a letter, as in `GravityTerm.moments`. The direction up is a unit
+    vector in the axes of frame 0.
 
     Raises:
         InputError: If the term needs measured torques.
@@ -294,11 +299,11 @@ def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, tu
     """Make the residual field: the process's mean over the joints, and waves of zero mean for the arm's own scatter.
 
     Args:
-        frequency: Frequencies of the process's waves, by output, input and wave.
-        mean: Mean weights of these waves.
-        offset: Constant part of each output.
+        frequency: Frequencies of the process's waves ``(O, F, K)``, by output, input and wave.
+        mean: Mean weights of the waves' cosines, then sines ``(O, 2 K)``, m and rad.
+        offset: Constant part of each output ``(O,)``, m and rad.
         inputs: How joints become the process's inputs.
-        turn: Rotation matrix from the frame in which the residual was learnt into the arm's own.
+        turn: Rotation matrix ``(3, 3)`` from the frame in which the residual was learnt into the arm's own base frame.
     """
     joints = len(inputs.periodic) + int(inputs.periodic.sum())  # conditions come after them, and stay at their mean
     scaled = frequency[:, :joints] / inputs.std[:joints, None]

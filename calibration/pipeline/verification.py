@@ -114,7 +114,7 @@ def restationed(
         own: Which of "base" and "tool" are refitted.
         count: Number of rows to fit to. They are chosen by their joints alone, so that other positions are predicted
             best (I-optimal design).
-        used: Indices of the rows to fit to, if they were chosen before.
+        used: Indices, from 0, of the rows to fit to, if they were chosen before.
 
     Raises:
         InputError: If there are too few rows.
@@ -179,7 +179,10 @@ def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measuremen
 
 
 def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int) -> Rows:
-    """Choose the rows that determine the frames best, judged by positions at all rows of the data."""
+    """Return the indices, from 0, of the ``count`` rows that determine the parameters ``frames`` best.
+
+    ``frames`` are those of base, tool or both. Rows are judged by the positions that they predict at all rows.
+    """
     pool = equally_spaced(len(data), CANDIDATES)
     jacobian = model.jacobian(data.joints[pool], data.conditions.select(pool))[..., frames.columns] * frames.tolerance
     rows = jacobian[:, : data.rows_per_pose] * data.row_weights[:, None]
@@ -189,7 +192,13 @@ def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int
 
 
 def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterator[ArmModel]:
-    """Yield starting points for the frames' fit: the model with its old frames, then with estimates of the new ones."""
+    """Yield starting points for the refit of frames: the model with its old frames, then with estimates of new ones.
+
+    Args:
+        model: The calibrated arm.
+        few: The rows to which the frames are refitted.
+        own: Which of "base" and "tool" are refitted.
+    """
     geometry = model.geometry
     yield model
     if set(own) == {"tool"}:
@@ -446,7 +455,12 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 
 
 def _since(rest: Rows, errors: Array, expected: Array) -> int | None:
-    """Return the index in ``rest`` from which on all blocks have too large errors; None if there is no such index."""
+    """Return the index, from 0, of the judged row from which on every block of rows has too large errors.
+
+    None if there is no such row, or if all blocks have too large errors. ``errors`` ``(R, 3 or 6)`` are those of the R
+    judged rows, m and rad; ``expected`` ``(R,)`` are their expected mean square position errors, m^2. Of ``rest``, the
+    rows' indices, only the count matters.
+    """
     if len(rest) < 4 * BLOCKS:
         return None
     parts = np.array_split(np.arange(len(rest)), BLOCKS)
@@ -468,7 +482,12 @@ def _cause(
     inside: NDArray[np.bool_] | None,
     refit: Collection[str],
 ) -> Cause:
-    """Find the cause of errors larger than promised: moved frames, a region not measured, or changed joint zeros."""
+    """Find the cause of errors larger than promised: moved frames, a region not measured, or changed joint zeros.
+
+    ``there`` is the calibration with the frames in ``refit`` ("base", "tool") refitted. For each row, ``errors`` has
+    the errors under ``there``, m and rad, ``expected`` the expected mean square position error, m^2, and ``inside``
+    whether the row lies in the measured region (None if that is not known).
+    """
     most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
     far, all_found = size > ELSEWHERE * most / GROWN, set(refit) == set(OWN)
     if far and not all_found and _left(there, data, errors, own_frames_model(there.identified, OWN)) < size / MOSTLY:
@@ -487,7 +506,11 @@ def _cause(
 
 
 def _left(there: Calibration, data: Measurements, errors: Array, model: ErrorModel) -> float:
-    """Compute the RMS position error, m, after a fit of a model to the rows, corrected for the degrees of freedom."""
+    """Compute the RMS position error, m, that remains after some parameters are fitted to the rows.
+
+    The result is corrected for the degrees of freedom, and infinite if the fit fails. ``errors`` ``(R, 3 or 6)`` are
+    those of the rows under the calibration ``there``, m and rad; ``model`` has the parameters to fit.
+    """
     if len(data) < len(model.names):
         return np.inf
     learnt = errors - data.difference(there.model)  # in the axes of the other station's base
@@ -509,6 +532,12 @@ def _less(data: Measurements, learnt: Array) -> Measurements:
 
 
 def _verdict(found: Verification, cause: Callable[[], Cause]) -> tuple[Status, str]:
+    """Return the verdict and its reason as a sentence.
+
+    Args:
+        found: The verification so far, with errors but without a verdict.
+        cause: Function that finds the cause of the errors; it is called only if they are larger than promised.
+    """
     mine, theirs, since = found.calibrated.rms, found.nominal.rms, found.since
     sizes = f"{figure(mine)} mm RMS where {figure(found.expected)} mm are expected"
     if found.ratio <= GROWN and since is None:

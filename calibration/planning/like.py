@@ -73,13 +73,12 @@ def first_rows(arm: Arm, data: Observations) -> First:
 def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.random.Generator) -> Array:
     """Draw joints within their limits at which the instrument can read something.
 
-    Half of the joint vectors that are tried are drawn from the joint ranges. The other half are drawn near joints that
-    are known to be readable, because a board is seen from few poses. At the start these are the joints of the first
-    rows.
+    Half of the joint vectors that are tried are drawn from the joint ranges. The other half are drawn near joints where
+    the instrument is known to read something, at first those of the first rows, because a board is seen from few poses.
 
     Args:
         geometry: The nominal arm.
-        first: The instrument.
+        first: The instrument, from `first_rows`.
         count: Number of joint vectors wanted.
         rng: Draws the joint vectors.
 
@@ -108,7 +107,7 @@ def measurable(
     """Move joints to where the instrument can read something, and mark those where it can.
 
     Args:
-        first: The instrument.
+        first: The instrument, from `first_rows`.
         joints: Joints to start from ``(N, n)``, rad or m.
         geometry: The nominal arm.
         move: Whether the joints may be moved; otherwise they are judged where they are, with a tolerance of 1 mm.
@@ -138,13 +137,14 @@ def measurable(
 
 
 def _misses(first: First, joints: Array) -> Array:
+    """Return placeholder readings minus predicted readings ``(N, k)``, m, of the instrument at joints ``(N, n)``."""
     return readings_at(first, joints).misses(*first[1:])
 
 
 def _short_of(first: First, joints: Array) -> Array:
     """Return how far ``(N, k)``, m, the instrument is from a possible reading at joints ``(N, n)``.
 
-    For sockets it is the distance of the tool point from its place. For a distance, such as a wire's length, it is how
+    For sockets it is the vector from the tool point to its socket. For a distance, such as a wire's length, it is how
     far the predicted reading lies outside the range of the first readings.
     """
     data, misses = first[0], _misses(first, joints)
@@ -156,7 +156,10 @@ def _short_of(first: First, joints: Array) -> Array:
 
 
 def _shown(first: First, joints: Array) -> NDArray[np.bool_]:
-    """Return a mask ``(N,)`` of views that would show enough of the board, about as far off as in the first views."""
+    """Return a mask ``(N,)`` of joints ``(N, n)`` at which a view would show enough of the board.
+
+    The board must also be about as far from the camera as in the first views (`FOCUS`).
+    """
     data, model, _ = first
     views = readings_at(first, joints).views
     depth, first_depth = (part.in_camera(model)[..., 2].mean(axis=1) for part in (views, data.views))
@@ -165,7 +168,7 @@ def _shown(first: First, joints: Array) -> NDArray[np.bool_]:
 
 
 def readings_at(first: First, joints: Array) -> Observations:
-    """Return the rows that the instrument would read at other joints ``(N, n)``, rad or m.
+    """Return rows of the instrument at other joints ``(N, n)``, rad or m, with placeholders as readings.
 
     For a board, the corners that would be in the picture count as seen.
     """
@@ -210,7 +213,7 @@ def plan_like(
         rng: Draws candidates, the order of exchanges, and the random sets of poses that the plan is compared with.
         candidates: Joints to choose from ``(N, n)``, rad or m; those at which nothing could be read are left out. Or
             the number of candidates to draw.
-        lines: Line of each given candidate in its file ``(N,)``.
+        lines: Line, from 1, of each given candidate in its file ``(N,)``; None if the candidates come from no file.
         criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
             out, "test-poses" if ``test_joints`` are given, else "d-optimal".
         test_joints: Joints at which accuracy matters ``(M, n)``, rad or m; the candidates if left out.
@@ -265,9 +268,10 @@ def plan_like(
 
 
 def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel | None) -> plan.Design:
-    """Return the design of the candidates, given first rows and priors.
+    """Return the design of the candidates, with the information of the first rows and of the priors as known.
 
-    It covers all parameters if they have priors, else a largest subset of identifiable ones.
+    The design covers all parameters if they have priors, else a largest subset of identifiable ones. ``first`` is the
+    instrument (`first_rows`), and ``joints`` are the candidates ``(N, n)``, rad or m.
     """
     data, there, unknowns = first
     count = len(unknowns)
@@ -298,7 +302,11 @@ def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel |
 
 
 def _scaled(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
-    """Return the whitened, scaled Jacobian ``(E, own + P)``: the instrument's own unknowns, then P arm parameters."""
+    """Return the whitened, scaled Jacobian ``(E, own + P)``: the instrument's own unknowns, then P arm parameters.
+
+    The Jacobian is taken at the arm and unknowns in ``first`` (`first_rows`). Each column is multiplied by the typical
+    deviation of its parameter in ``scale`` ``(own + P,)``.
+    """
     by_arm, by_own = data.jacobian(*first[1:])
     return np.asarray(np.hstack([by_own, by_arm[:, model.columns]]) * scale)
 

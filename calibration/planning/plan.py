@@ -59,7 +59,7 @@ def exchange(
         known: Information ``(p, p)`` that exists already, from priors or from rows measured before.
 
     Returns:
-        Indices of the chosen candidates, and the number of rounds of exchange.
+        Indices, from 0, of the chosen candidates, and the number of rounds of exchange.
     """
     p = rows.shape[-1]
     ridge = RIDGE * float(np.sum(rows**2)) / len(rows) / p
@@ -116,7 +116,11 @@ def gains(rows: Array, information: Array, weight: Array | None) -> Array:
 
 
 def move_seconds(joints: Array, speed: Array) -> Array:
-    """Compute the times ``(N, N)``, s, of the moves between each two poses ``(N, n)``, at joint speeds ``(n,)``.
+    """Compute the times ``(N, N)``, s, of the moves between each two poses.
+
+    Args:
+        joints: Joints of the poses ``(N, n)``, rad or m.
+        speed: Joint speeds ``(n,)``, rad/s or m/s.
 
     Raises:
         InputError: If a speed is not finite and above zero.
@@ -129,18 +133,28 @@ def move_seconds(joints: Array, speed: Array) -> Array:
 
 
 def travel_seconds(joints: Array, speed: Array) -> float:
-    """Compute the time, s, to visit the poses ``(N, n)`` in their order, from the first to the last."""
+    """Compute the time, s, to visit poses in their order, from the first to the last.
+
+    The arguments are those of `move_seconds`.
+    """
     return float(move_seconds(joints, speed).diagonal(1).sum())
 
 
 def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
-    """Return a short tour of the poses ``(N, n)``: the best of several nearest-neighbour tours after 2-opt."""
+    """Return a short tour of the poses as their indices, from 0, in the order of visits ``(N,)``.
+
+    It is the best of several nearest-neighbour tours after 2-opt. The arguments are those of `move_seconds`.
+    """
     cost = move_seconds(joints, speed)
     ways = [_two_opt(_nearest_neighbours(cost, start), cost) for start in range(min(len(joints), 10))]
     return min(ways, key=lambda way: float(cost[way[:-1], way[1:]].sum()))
 
 
 def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
+    """Return the tour ``(N,)`` from pose ``start`` that always goes on to the nearest pose not visited yet.
+
+    Poses are indices from 0; ``cost`` holds the times between each two poses ``(N, N)``, s.
+    """
     ahead = np.ones(len(cost), dtype=bool)
     way = [start]
     for _ in range(1, len(cost)):
@@ -150,7 +164,11 @@ def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
 
 
 def _two_opt(way: NDArray[np.int64], cost: Array) -> NDArray[np.int64]:
-    """Shorten a tour: reverse the stretch that saves the most time, until none saves any; its ends may change."""
+    """Return a shorter tour: the stretch whose reversal saves the most time is reversed until none saves any.
+
+    The first and the last pose may change. A tour ``way`` ``(N,)`` holds indices of poses, from 0, in the order of
+    visits; ``cost`` ``(N, N)`` holds the times of the moves between each two poses, s.
+    """
     count = len(way)
     if count < 3:
         return way
@@ -217,7 +235,7 @@ class PosePlan:
 
     Attributes:
         joints: ``(n_poses, n)``, rad or m, in measuring order.
-        chosen: Indices of these poses among the candidates.
+        chosen: Indices, from 0, of these poses among the candidates.
         design: The candidates.
         criterion: "d-optimal" or "test-poses".
         travel_seconds: Time of the moves in measuring order, joints moving together at the arm's speeds, s.
@@ -233,7 +251,7 @@ class PosePlan:
             builds on such rows, or if the poses are too few to determine all these parameters without priors.
         first: Number of rows measured before the plan.
         seconds: Time that the planning took, s.
-        lines: Lines of the poses in the file of candidates; None if the candidates were drawn.
+        lines: Lines, from 1, of the poses in the file of candidates; None if the candidates were drawn.
         curve: For several numbers of poses: the number, the error to expect from as many planned poses, and from as
             many random poses, m.
     """
@@ -261,7 +279,10 @@ class PosePlan:
         return (*self.design.names, *self.design.model.names)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the plan as values for JSON; top-level condition and O1 ratio are for the arm's own parameters."""
+        """Return the plan as values for JSON.
+
+        The entries "condition", "random_condition" and "o1_ratio" are copied from "arm", for the arm's own parameters.
+        """
         figures: dict[str, Any] = {
             "poses": len(self.joints),
             "first_rows": self.first,
@@ -377,12 +398,21 @@ def design_of(
 
 
 def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -> Array:
+    """Return the weighted, scaled Jacobians ``(N, r, p)`` of N poses with respect to the p parameters of ``model``.
+
+    ``weight`` ``(r,)`` has the weights of a pose's first r components: 3 for positions, 6 for full poses. The
+    parameters' tolerances scale the columns.
+    """
     jacobian = parameter_jacobian(geometry, joints)[:, : len(weight), model.columns]
     return np.asarray(jacobian * model.tolerance * weight[:, None])
 
 
 def criterion_of(criterion: str | None, test_joints: Array | None) -> str:
-    """Return the criterion; if it is None, "test-poses" if there are test poses, else "d-optimal".
+    """Return the criterion, one of `CRITERIA`; a criterion of None becomes "test-poses" or "d-optimal".
+
+    Args:
+        criterion: The criterion, or None.
+        test_joints: The test poses; if None, the default is "d-optimal", otherwise "test-poses".
 
     Raises:
         InputError: If the criterion is unknown.
@@ -550,7 +580,12 @@ def finished_plan(
 
 
 def _observed(design: Design, rows: Array) -> dict[str, float]:
-    """Compute the observability of parameters from rows ``(M, r, p)`` and the information that exists already."""
+    """Return the observability figures, such as "condition" and "o1", of a set of M poses.
+
+    Args:
+        design: The design, whose ``known`` information is added.
+        rows: Weighted, scaled Jacobians of the poses ``(M, r, p)``.
+    """
     stacked = np.vstack([rows.reshape(-1, rows.shape[-1]), np.sqrt(design.known)])
     values = np.linalg.svd(stacked, compute_uv=False)
     return observability(np.asarray(values, dtype=float), len(rows))
@@ -559,7 +594,9 @@ def _observed(design: Design, rows: Array) -> dict[str, float]:
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> dict[str, Any]:
     """Compare the observability of the planned poses with that of random sets, as values for JSON.
 
-    Random sets are represented by the one with the median condition number. The O1 ratio is relative to their mean O1.
+    The random set with the median condition number represents all random sets. The O1 ratio is relative to the mean O1
+    of all random sets. ``chosen`` are the planned poses' indices, from 0, among the candidates, and ``sets`` the joints
+    of the random sets ``(DRAWS, count, n)``, rad or m.
     """
     rows = (_rows(geometry, design.model, design.weight, joints) for joints in sets)
     random_sets = sorted((_observed(design, part) for part in rows), key=itemgetter("condition"))
@@ -575,7 +612,10 @@ def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64
 
 
 def _least(design: Design) -> int:
-    """Return the least number of poses: a few more equations than parameters, or 1 pose if parameters have priors."""
+    """Return the least number of poses of a plan: 1 if the design has ``known`` information.
+
+    Otherwise it is one more than the number of poses that give as many equations as there are parameters.
+    """
     return 1 if design.known.any() else -(-len(design.model.names) // int(design.rows.shape[1])) + 1
 
 
@@ -614,8 +654,8 @@ def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Arra
         test_joints: Test poses ``(M, n)``, rad or m.
 
     Raises:
-        InputError: If base and tool are fitted, and the test poses give less than twice as many equations as these have
-            parameters.
+        InputError: If base and tool are fitted, and the test poses give less than twice as many equations as base and
+            tool have parameters.
     """
     place = partial(_rows, geometry, weight=np.ones(3), joints=test_joints)
     stacked = place(design.model).reshape(-1, len(design.model.names))

@@ -47,7 +47,7 @@ def read_log(
         path: The bag or the file.
         topic: Name of the topic; None for a file.
         separator: Character between columns of a file.
-        decimal: Decimal sign of a file.
+        decimal: Decimal sign of a file, "." or ",".
         names: Column names of a file without a header, or None.
 
     Raises:
@@ -90,7 +90,10 @@ def _bag_table(path: Path, topic: str) -> Table:
 
 
 def _messages(path: Path, topic: str) -> tuple[dict[str, str], list[tuple[int, Any]]]:
-    """Return each topic's type, and the log time, ns, and content of one topic's messages, if its type is supported."""
+    """Return the message type of each topic of a bag, and the messages of ``topic`` with their log times, ns.
+
+    There are no messages if the topic's type is not one of `FIELDS`.
+    """
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 

@@ -123,7 +123,7 @@ class Table:
         where: The file, for messages.
         header: Column names.
         rows: The cells of each row, as text.
-        lines: Line (or entry) in the file of each row, for messages.
+        lines: Line (or entry) in the file of each row, from 1, for messages.
         decimal: Decimal sign.
         cache: Columns that are already converted, by name.
     """
@@ -139,7 +139,12 @@ class Table:
                 )
 
     def select(self, rows: Sequence[int], where: str = "") -> Table:
-        """Return a table of the rows with these indices; ``where`` names it in messages, by default the old name."""
+        """Return a table of the rows with these indices (from 0).
+
+        Args:
+            rows: The indices.
+            where: Name of the new table for messages; the same as before if empty.
+        """
         cells, lines = [self.rows[row] for row in rows], [self.lines[row] for row in rows]
         return Table(where or self.where, self.header, cells, lines, self.decimal)
 
@@ -156,7 +161,7 @@ class Table:
         return self.cache[name]
 
     def index(self, name: str) -> int:
-        """Return the index of a column in the header, or refuse a name that is missing or occurs twice."""
+        """Return the index, from 0, of a column in the header; refuse a name that is missing or occurs twice."""
         if name not in self.header:
             raise InputError(f"{self.where}: column '{shortened(name)}' is missing; the file has {listed(self.header)}")
         if (count := self.header.count(name)) > 1:
@@ -164,7 +169,12 @@ class Table:
         return self.header.index(name)
 
     def cell(self, row: int, name: object) -> str:
-        """Return text for messages that names a cell's file, line and column."""
+        """Return text for messages that names a cell's file, line and column.
+
+        Args:
+            row: Index of the row, from 0.
+            name: Name of the column.
+        """
         return f"{self.where}: row {self.lines[row]}, column '{name}'"
 
     def fill_blanks(self, name: str) -> Array:
@@ -179,7 +189,10 @@ class Table:
         return np.array(blank)
 
     def _number(self, text: str, name: str, line: int) -> float:
-        """Return the finite number that a cell's text spells, with this file's decimal sign."""
+        """Return the finite number that a cell's ``text`` spells, with this file's decimal sign.
+
+        Column ``name`` and ``line`` are for messages.
+        """
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
         value = decimal_number("" if grouped else text.replace(self.decimal, "."))
         if value is not None and np.isfinite(value):
@@ -213,6 +226,13 @@ class Table:
         return np.stack([self.value(expression) for expression in expressions], -1)
 
     def _evaluate(self, node: ast.AST, expression: str, quoted: list[str]) -> Any:
+        """Return the value of a syntax tree: a number, or an array ``(N,)`` if it uses columns.
+
+        Args:
+            node: The tree, from `expression_tree`.
+            expression: The whole expression, for messages.
+            quoted: The column names in backticks, from `expression_tree`.
+        """
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
                 return np.float64(value)
@@ -270,7 +290,7 @@ def read_table(
     Args:
         path: The file.
         separator: Character between columns.
-        decimal: Decimal sign.
+        decimal: Decimal sign, "." or ",".
         names: Column names of a file without a header, or None.
 
     Raises:
@@ -296,7 +316,7 @@ def read_table(
 
 
 def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[list[str]], list[int]]:
-    """Split a CSV text into rows: return the cells and the line number of each row that is not blank.
+    """Split a CSV text into rows: return the cells and the line number (from 1) of each row that is not blank.
 
     Args:
         text: The text.
@@ -378,6 +398,10 @@ def table_of_entries(where: str, entries: Sequence[Mapping[str, str]]) -> Table:
 
 
 def _flattened(value: Any, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the name, such as pose.x or joints.0, and the text of every single value within ``value``.
+
+    Names begin with ``name``, which is empty at the top.
+    """
     if isinstance(value, Mapping):
         for key, part in value.items():
             yield from _flattened(part, f"{name}.{key}" if name else str(key))

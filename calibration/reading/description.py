@@ -87,7 +87,9 @@ class ContactTable:
     """Section [touches] or [plane], and the keys that all sections of contact measurements share.
 
     ``std`` is the standard uncertainty of a contact, m. ``tool_point`` is the position of the touching point in the
-    tool frame, m, and ``tool_std`` its standard uncertainty, m. ``contact`` names a column that is 0 without contact.
+    tool frame, m. With ``tool`` "known", the position has the standard uncertainty ``tool_std``, m; with "fitted", the
+    position is unknown.
+    ``contact`` names a column that is 0 without contact.
     """
 
     _: KW_ONLY
@@ -105,7 +107,7 @@ class ContactTable:
 
 @toml_table
 class SocketsTable(ContactTable):
-    """Section [sockets]: the column with the sockets' numbers, and the spacing of two paired sockets, m, if known."""
+    """Section [sockets]: optional column of socket numbers, and spacing of paired sockets with its uncertainty, m."""
 
     columns: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
     spacing: Annotated[float, MM.positive] | None = None
@@ -114,7 +116,10 @@ class SocketsTable(ContactTable):
 
 @toml_table
 class WireTable(ContactTable):
-    """Section [wire]: the column of the length of a draw wire from the tool to an anchor, with its scale and zero."""
+    """Section [wire]: the column of the length of a draw wire from the tool to an anchor, with its scale and zero.
+
+    ``zero`` is the reading at length 0, m. ``scale_std`` and ``zero_std`` are 0 for "known", infinite for "fitted".
+    """
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
@@ -127,7 +132,7 @@ class WireTable(ContactTable):
 class DialTable(ContactTable):
     """Section [dial]: the column of a dial gauge's reading along a fixed axis.
 
-    ``free`` is the reading without contact, m.
+    ``free`` is the reading without contact, m. ``scale_std`` is 0 for a "known" scale, infinite for a "fitted" one.
     """
 
     columns: Annotated[tuple[str, ...], COLUMNS]
@@ -138,7 +143,7 @@ class DialTable(ContactTable):
 
 @toml_table
 class BarTable(ContactTable):
-    """Section [bar]: the length of a ball bar, m; without a value, it is fitted."""
+    """Section [bar]: the length of a ball bar and its standard uncertainty, m; without a length, it is fitted."""
 
     length: Annotated[float, MM.positive] | None = None
     length_std: Annotated[float, MM.not_negative] = 0.0
@@ -146,7 +151,7 @@ class BarTable(ContactTable):
 
 @toml_table
 class RadiusTable(ContactTable):
-    """Section [sphere]: the distance of the tool point from a fixed centre, m; without a value, it is fitted."""
+    """Section [sphere]: distance of the tool point from a fixed centre, and its uncertainty, m; fitted if left out."""
 
     length: Annotated[float, MM.positive, Key("radius_mm")] | None = None
     length_std: Annotated[float, MM.not_negative, Key("radius_std_mm")] = 0.0
@@ -156,7 +161,9 @@ class RadiusTable(ContactTable):
 class TiltTable:
     """Section [tilt]: the columns of an inclinometer's or accelerometer's axes.
 
-    Each holds the component of the downward direction along the axis, in g, or the axis's inclination, in deg or rad.
+    Each column holds the component of the downward direction along the axis, in g, or the axis's inclination, in deg or
+    rad. ``axes_std`` and ``down_std`` are 0 if the file says "known" for the sensor's mount or for a level base, and
+    infinite if it says "fitted".
     """
 
     columns: Annotated[tuple[str, ...], COLUMNS]
@@ -225,7 +232,12 @@ class JointsTable:
 
 @toml_table
 class PixelsTable:
-    """Section [pixels]: views of a board, given as pictures or as a table of the corners detected in them."""
+    """Section [pixels]: views of a board, given as pictures or as a table of the corners detected in them.
+
+    ``mount`` is "hand" for a camera on the tool, "world" for a fixed one. ``picture`` is a column or a pattern of paths
+    of pictures, ``files`` a pattern of names of pose files. A table of corners has ``columns`` of pixels across and
+    down, ``view`` with the picture's name, and ``corner`` with the corner's number. ``std`` is in px.
+    """
 
     mount: Annotated[Mount, one_of(get_args(Mount))] | None = None
     picture: Annotated[str, COLUMN] | None = None
@@ -272,7 +284,11 @@ class TargetTable:
 
 @toml_table
 class LensTable:
-    """Section [camera]: the lens, given as a file or as numbers, and whether its numbers are fitted."""
+    """Section [camera]: the lens, given as a file or as numbers, and whether its numbers are fitted.
+
+    With ``lens`` "fixed" the numbers are exact, with "free" unknown. With "prior" their standard uncertainties are
+    ``prior_px`` for fx, fy, cx and cy, and ``prior_distortion`` for each distortion coefficient.
+    """
 
     file: Annotated[str, COLUMN] | None = None
     fx: Annotated[float, PIXELS] | None = None
@@ -311,7 +327,7 @@ class RotationTable:
     def checked_unit(self, section: str = "rotation", key: str = "unit") -> str:
         """Return the unit of the angles; for a quaternion it is "rad", which leaves its numbers as they are.
 
-        Messages name the section that has these columns, and its key for the unit.
+        Messages name the ``section`` that has these columns, and ``key``, its key for the unit.
 
         Raises:
             InputError: If there are not 3 or 4 columns, or not those of the convention, or if the unit of angles is
@@ -584,7 +600,7 @@ class DescriptionFile:
 
     @property
     def target_points(self) -> tuple[Array, tuple[int, ...]]:
-        """The points of the board or target ``(K, 3)``, m, and their numbers in a table of corners."""
+        """The points of the board or target ``(K, 3)``, m, in its frame, and their numbers (a board's are from 0)."""
         if self.target is None:
             assert self.board is not None
             return self.board.corners, tuple(range(len(self.board.corners)))
@@ -594,8 +610,8 @@ class DescriptionFile:
     def ends(self) -> tuple[tuple[str, str], tuple[str, str]]:
         """Names of the two ends of a measured pose, and the links that carry these ends.
 
-        The first end is the sensor, the second the target. For a camera that the arm carries, and for an inclinometer,
-        the order is reversed.
+        The first end is the sensor, and the second is the target. For a camera that the arm carries, and for an
+        inclinometer, the first end is the target, and the second is the sensor.
         """
         scene, links_of = self.scene, dict(self.scene.links)
         names = (scene.sensor, scene.target)
@@ -657,11 +673,7 @@ def description_path(name: str | Path) -> Path:
 
 
 def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
-    """Refuse a description that gives one column for two quantities, a fault that a fit may not reveal.
-
-    Raises:
-        InputError: If a column is given twice; the message names it and both its uses.
-    """
+    """Refuse a description that gives one column for two quantities, a fault that a fit may not reveal."""
     roles = [(f"joint {i + 1}", text) for i, text in enumerate(description.joint_columns)]
     sections = {description.kind: description.columns}
     if description.rotation is not None:

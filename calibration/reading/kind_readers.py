@@ -61,7 +61,7 @@ class Files:
         return np.concatenate([t.values(d.columns) * TO_SI[d.unit] for t, d in self.pairs()])
 
     def place(self, row: int) -> str:
-        """Return text for messages that names a row's file and line."""
+        """Return text for messages that names the file and line of the row with index ``row`` (from 0)."""
         return "{}: row {}".format(*self.origins.place(row))
 
     def pairs(self) -> Iterator[tuple[Table, description.DescriptionFile]]:
@@ -104,8 +104,12 @@ def refuse_repeated_joints(layout: description.DescriptionFile, where: str, join
 def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
     """Refuse positions that no instrument can have measured.
 
-    These are positions beyond `FARTHEST`, and positions at exactly 0, 0, 0 unless all rows have it. Trackers write
+    These are positions beyond `FARTHEST`, and positions at exactly 0, 0, 0 unless every row is there. Trackers write
     zeros for a lost reflector.
+
+    Args:
+        table: The file.
+        layout: The column description.
     """
     values = table.values(layout.columns)
     for row, column in np.argwhere(np.abs(values) * TO_SI[layout.unit] > FARTHEST)[:1]:
@@ -152,8 +156,8 @@ def read_joints(table: Table, layout: description.DescriptionFile, where: str, g
         geometry: The arm's nominal geometry.
 
     Raises:
-        InputError: If the number or the units of the joint columns do not fit the arm, or if a joint lies far beyond
-            its limits. The latter is almost always a wrong unit, deg for rad or mm for m.
+        InputError: If the number or the units of the joint columns do not fit the arm. Also if a joint lies far beyond
+            its limits, which almost always means a wrong unit, deg for rad or mm for m.
     """
     columns, n = [], geometry.joints
     if len(layout.joint_units) != n:
@@ -188,8 +192,8 @@ def refuse_implausible_conditions(table: Table, name: str, values: Array, column
     Args:
         table: The file.
         name: The condition, one of `QUANTITIES`.
-        values: Its values ``(N, k)``, SI; temperatures relative to the reference.
-        columns: The column of each value.
+        values: The condition's values ``(N, k)``, SI; temperatures relative to the reference.
+        columns: Names of the k columns, for messages.
     """
     least, most, _ = LIMITS[QUANTITIES[name]]
     for row, column in np.argwhere((values < least) | (values > most))[:1]:
@@ -202,7 +206,7 @@ def read_attitudes(table: Table, described: description.RotationTable | None) ->
 
     Args:
         table: The file.
-        described: The columns, with a checked unit.
+        described: Section [rotation], whose unit was checked; not None.
 
     Raises:
         InputError: If a quaternion is not of unit length, or an angle is larger than any rotation needs.
@@ -238,7 +242,10 @@ The misfit is below the first limit if the unit is right, and at or above the se
 
 @register("instrument", "reflectors")
 def _reflectors(files: Files, section: description.ReflectorsTable) -> kinds.ReflectorObservations:
-    """Read positions of several reflectors; a reflector is lost only if it is marked as the description says."""
+    """Read positions of several reflectors.
+
+    A reflector counts as lost in a row only if it is marked there as the description's ``lost`` says.
+    """
     first = files.first
     points, visible_parts = [], []
     for table in files.tables:
@@ -266,6 +273,7 @@ def _reflectors(files: Files, section: description.ReflectorsTable) -> kinds.Ref
 
 @register("instrument", "wire")
 def _wire(files: Files, section: description.WireTable) -> kinds.DistanceObservations:
+    """Read lengths of a draw wire; refuse lengths that are not above zero or fit only in another unit."""
     length = files.values()[:, 0]
     for row in np.flatnonzero(length <= 0.0)[:1]:
         raise InputError(f"{files.place(row)}: a length of {length[row] * 1e3:.6g} mm is not above zero; correct it")
@@ -289,6 +297,7 @@ def _kept(files: Files, section: description.ContactTable) -> kinds.DistanceObse
 
 @register("instrument", "dial")
 def _dial(files: Files, section: description.DialTable) -> kinds.DistanceObservations:
+    """Read a dial gauge, whose readings are distances from a plane; refuse readings without contact."""
     reading = files.values()[:, 0]
     for row in np.flatnonzero(np.isclose(reading, section.free, rtol=0.0, atol=1e-9))[:1]:
         raise InputError(
@@ -299,6 +308,7 @@ def _dial(files: Files, section: description.DialTable) -> kinds.DistanceObserva
 
 
 def _distances(files: Files, section: description.ContactTable, read: Array, **more: Any) -> kinds.DistanceObservations:
+    """Return readings ``read`` ``(N,)``, m, as distances; ``more`` are further fields of `DistanceObservations`."""
     return kinds.DistanceObservations(length=read, **_contact(files, section), **more)
 
 
@@ -353,6 +363,10 @@ def _sockets(files: Files, section: description.SocketsTable) -> kinds.SocketObs
 
 
 def _rests(files: Files, section: description.ContactTable, socket: Rows, **more: Any) -> kinds.SocketObservations:
+    """Return contacts with sockets; refuse a socket whose rows are all in one pose.
+
+    ``socket`` ``(N,)`` is each row's socket, numbered from 0; ``more`` are further fields of `SocketObservations`.
+    """
     contact = _contact(files, section)
     for place in np.unique(socket):
         _refuse_one_pose(files, np.flatnonzero(socket == place))
@@ -384,7 +398,12 @@ def _tilt(files: Files, section: description.TiltTable) -> kinds.TiltObservation
 
 
 def _refuse_one_pose(files: Files, rows: Rows) -> None:
-    """Refuse rows of one place that were all taken in one pose: they say nothing about the arm."""
+    """Refuse rows that were all taken in one pose, because they say nothing about the arm.
+
+    Args:
+        files: The files.
+        rows: Indices, from 0, of the rows of one socket, or of one touched point or surface.
+    """
     if len(rows) > 1 and np.ptp(files.joints[rows], axis=0).max() < TURNED:
         raise InputError(
             f"{files.source}: all {len(rows)} rows of one place are in one pose, to a degree; turn the tool and move "
@@ -480,12 +499,15 @@ def read_views(
 def views_table(
     paths: Sequence[str | Path], pixels: description.PixelsTable, layout: description.DescriptionFile
 ) -> tuple[Table, Path]:
-    """Read the table of views, one row each or one per corner, and the folder that the paths of pictures start from.
+    """Read the table of views, which has one row per view or one per corner.
 
     Args:
         paths: A list of one CSV or YAML file, or of one folder whose files match the description's ``files``.
         pixels: Section [pixels] of the description.
         layout: The description.
+
+    Returns:
+        The table, and the folder that the paths of pictures start from.
 
     Raises:
         InputError: If there is more than one path, or if something is wrong with the file.
@@ -518,7 +540,7 @@ def _by_number(file: Path) -> list[tuple[int, str]]:
 
 
 def _pictures(table: Table, pixels: description.PixelsTable, home: Path) -> list[Path]:
-    """Return the path of each row's picture."""
+    """Return the path of each row's picture; paths in the table start from the folder ``home``."""
     pattern = str(pixels.picture)
     if STEM in pattern:
         return [home / pattern.replace(STEM, stem) for stem in table.texts("file")]
@@ -528,9 +550,12 @@ def _pictures(table: Table, pixels: description.PixelsTable, home: Path) -> list
 def _found_in_pictures(
     table: Table, file: description.DescriptionFile, pictures: Sequence[Path], camera: Lens
 ) -> tuple[list[Corners], list[str]]:
-    """Detect the corners in each row's picture; return them, and why a picture shows none (empty if it shows some).
+    """Detect the corners in each row's picture.
 
-    A few pictures without a corner are kept, to be listed in reports.
+    A few pictures without a corner are kept, to be listed in reports. ``pictures`` are the paths of each row's picture.
+
+    Returns:
+        The corners of each picture, and why the picture shows none (empty if it shows some).
 
     Raises:
         InputError: If a picture is missing or of another size than the lens, or if more than `MANY_BLIND` show none.
@@ -573,7 +598,10 @@ def _grey(path: Path) -> Grey:
 def _found_in_table(
     table: Table, pixels: description.PixelsTable, known: Sequence[int]
 ) -> tuple[list[int], list[Corners]]:
-    """Return the first row of each view in a table of corners, and its corners; ``known`` are the corners' numbers."""
+    """Read a table of corners, with one row per corner: return the index of each view's first row, and its corners.
+
+    Indices are counted from 0. ``known`` are the numbers of the board's corners; the table may hold no others.
+    """
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.columns)
     rows: list[int] = []
@@ -595,7 +623,13 @@ def _found_in_table(
 
 
 def _refuse_moved(table: Table, views: Sequence[str], joints: Array) -> None:
-    """Refuse corners of one view at different joints (or finished poses): they are of several pictures."""
+    """Refuse corners of one view at different joints (or finished poses), because they are of several pictures.
+
+    Args:
+        table: The corners, one row each.
+        views: Name of each row's view.
+        joints: Joints of each row ``(N, n)``, rad or m.
+    """
     first: dict[str, int] = {}
     for row, name in enumerate(views):
         begin = first.setdefault(name, row)
@@ -607,6 +641,7 @@ def _refuse_moved(table: Table, views: Sequence[str], joints: Array) -> None:
 
 
 def _lens(given: description.LensTable, home: Path) -> Lens:
+    """Return the lens that section [camera] gives by numbers, or by a file whose path starts from folder ``home``."""
     if given.file is not None:
         return read_lens(home / given.file)
     distortion = np.resize([*given.distortion, 0.0], 5)  # the fifth is zero if four are given

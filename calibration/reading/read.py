@@ -113,7 +113,11 @@ Log = tuple[csv_table.Table, Path]
 def _by_scene(
     logs: list[Log], given: description.DescriptionFile | None
 ) -> list[tuple[description.DescriptionFile | None, list[Log]]]:
-    """Split files by the sensor, target and series of their rows; a part's description names its sensor and target.
+    """Split files by the sensor, target and series of their rows.
+
+    Returns:
+        For each part, a column description whose [scene] names the part's sensor and target, and the part's files. If
+        ``given``, the files' description, has no [scene] or is None, all files are one part.
 
     Raises:
         InputError: If a row has an empty name, if no row names the sensor, target or series of the description, or if a
@@ -156,7 +160,11 @@ def _by_scene(
 def _data_set(
     logs: list[Log], geometry: Geometry, given: description.DescriptionFile | None, where: str, repeats: bool
 ) -> Observations:
-    """Read files of one layout, whose rows are of one sensor and one target."""
+    """Read files of one layout, whose rows are of one sensor and one target, as one data set.
+
+    ``given`` is the column description, None for pickenv's own format, and ``where`` its name for messages. With
+    ``repeats``, a row may equal another to the last digit.
+    """
     tables, paths = [table for table, _ in logs], [path for _, path in logs]
     names, links = (("", ""), ("", "")) if given is None else given.ends
     geometry = _between(geometry, links, where or tables[0].where)
@@ -231,7 +239,9 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
 
 
 def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry:
-    """Return the geometry whose poses lead from one link of a whole robot to another; an empty name is the world.
+    """Return the geometry whose poses are those of the second of ``links``, relative to the first.
+
+    An empty name of a link is the world. A single chain, which is no whole robot, is returned unchanged.
 
     Raises:
         InputError: If a link is none of the robot's, if both are one, or if links of a single chain are named.
@@ -253,7 +263,13 @@ def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry
 
 
 def _in_scene(rows: Any, geometry: Geometry, names: tuple[str, str]) -> Any:
-    """Add to rows the names of the two ends of their poses, and for a whole robot the links that carry these ends."""
+    """Return rows with the names of sensor and target added, and for a whole robot the links that carry these two.
+
+    Args:
+        rows: The rows, `Observations` of any kind.
+        geometry: The geometry from `_between`.
+        names: Names of sensor and target, in the order of ``DescriptionFile.ends``.
+    """
     rows = replace(rows, origins=replace(origins_of(rows), scene=names))
     if geometry.tree is None:
         return rows
@@ -268,7 +284,11 @@ def _rows(
     geometry: Geometry,
     frames: Frames,
 ) -> Any:
-    """Read the rows of tables of one layout, of any kind except pixels."""
+    """Read the rows of tables of one layout as `Observations` of any kind except pixels.
+
+    ``layouts`` are the column descriptions of the files, and ``where`` is their name for messages; it may be empty.
+    ``frames`` is "known" if the rows are poses of the arm's own tool in its own base frame, else "fitted".
+    """
     pairs = zip(tables, layouts, strict=True)
     joints = np.concatenate([kind_readers.read_joints(*pair, where or pair[0].where, geometry) for pair in pairs])
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"

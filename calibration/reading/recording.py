@@ -126,9 +126,9 @@ class Timed(Observations):
         return np.concatenate([self.rows.start(model), np.zeros(2)])
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Return the row and the channel of each equation.
+        """Return the indices, from 0, of row and channel of each equation, both ``(E,)``.
 
-        The last equation is the prior of the clock's rate; its row is -1.
+        The last equation is the prior of the clock's rate, whose row is -1.
         """
         rows, channels = self.rows.equations()
         return np.r_[rows, -1], np.r_[channels, 0]
@@ -226,7 +226,7 @@ class Logs:
 
         Args:
             times: Time of each sample on the joint log's clock ``(T,)``, s.
-            groups: Indices of the samples of each group.
+            groups: Indices, from 0, of the samples of each group.
         """
         names, values = self.values
         rotation = self.layout.rotation
@@ -305,7 +305,12 @@ def read_recording(
 
 
 def _with_std(layout: description.DescriptionFile, factors: list[float]) -> description.DescriptionFile:
-    """Multiply the description's stated uncertainties by one factor for readings and one for attitudes."""
+    """Return the description with its stated uncertainties multiplied by factors.
+
+    Args:
+        layout: The description.
+        factors: The factor for readings, and, where attitudes were measured, that for attitudes.
+    """
     measured = layout.measured
     if measured.std is not None:
         layout = replace(layout, **{layout.kind: replace(measured, std=measured.std * factors[0])})
@@ -353,7 +358,13 @@ def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: 
 
 
 def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, ...]) -> Table:
-    """Return the table without lost samples, that is samples with an empty cell or a position at 0, 0, 0."""
+    """Return the table without lost samples, that is samples with an empty cell or a position at 0, 0, 0.
+
+    Args:
+        table: The instrument's log.
+        layout: The column description.
+        names: The columns or expressions whose cells must not be empty.
+    """
     lost = np.zeros(len(table.lines), dtype=bool)
     for name in {part for text in names for part in _plain(text, table.header)}:
         lost |= table.fill_blanks(name)
@@ -367,7 +378,10 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
 
 
 def _complete(log: Table, names: tuple[str, ...]) -> Table:
-    """Return the messages of a joint log that have all these columns; others can be those of a gripper alone."""
+    """Return only those messages of a joint log that have all columns used by the expressions ``names``.
+
+    A topic may also carry other messages, such as those of a gripper alone.
+    """
     lacking = np.zeros(len(log.lines), dtype=bool)
     for name in {part for text in names for part in _plain(text, log.header)}:
         lacking |= np.array([not cell for cell in log.texts(name)])
@@ -377,14 +391,20 @@ def _complete(log: Table, names: tuple[str, ...]) -> Table:
 
 
 def _plain(text: str, header: list[str]) -> Iterator[str]:
-    """Yield the columns of a file that an expression uses."""
+    """Yield the columns in ``header`` that the column expression ``text`` uses."""
     tree, quoted = csv_table.expression_tree(text)
     words = [] if tree is None else [node.id for node in ast.walk(tree) if isinstance(node, ast.Name)]
     yield from (name for name in (text, *words, *quoted) if name in header)
 
 
 def _times(table: Table, name: str, unit: str) -> Array:
-    """Read the times of a log ``(T,)``, s, and check that they are strictly increasing."""
+    """Read the times of a log ``(T,)``, s, and check that they are strictly increasing.
+
+    Args:
+        table: The log.
+        name: The column of the times.
+        unit: The column's unit, a key of `description.SECONDS`.
+    """
     times = table.value(name) * description.SECONDS[unit]
     steps = np.diff(times)
     if len(times) < 4:
@@ -400,9 +420,13 @@ def _times(table: Table, name: str, unit: str) -> Array:
 
 
 def _speeds(logs: Logs) -> tuple[Array, Array, float]:
-    """Compute the speeds of the nominal tool and of the readings, each over its own log, and their time step, s.
+    """Compute the speeds of the nominal tool, over the joint log, and of the readings, over the instrument's log.
 
     Speeds are angular if attitudes were measured, else linear. They do not depend on the base, and hardly on the tool.
+
+    Returns:
+        Motion of the tool per `CHORD` of time ``(A,)``, rad or m; motion of the readings per `CHORD` ``(B,)``, rad or
+        the file's unit; and the time step of both, s.
     """
     step = max(float(np.median(np.diff(logs.times))), float(np.median(np.diff(logs.log))), 2e-3)
     width = max(round(CHORD / step), 2)
@@ -426,9 +450,9 @@ def _speeds(logs: Logs) -> tuple[Array, Array, float]:
 
 
 def _lags(one: Array, other: Array) -> tuple[Array, Array]:
-    """Compute the correlation of two signals at every lag, and the number of samples that overlap there.
+    """Compute the correlation of two signals at every lag, and the number of samples that overlap at that lag.
 
-    Entry k is of ``one[i]`` with ``other[i - k + len(other) - 1]``.
+    Entry k, from 0, compares ``one[i]`` with ``other[i - k + len(other) - 1]``.
     """
     from scipy.signal import correlate  # late: it takes half a second
 
@@ -469,7 +493,14 @@ def _peaks(logs: Logs) -> list[float]:
 
 
 def _timed(logs: Logs, start: float, most: int, read: Read) -> tuple[Timed, float, float] | None:
-    """Return up to ``most`` samples with joints at a clock offset, that offset, s, and the mean sample time, s."""
+    """Return samples with their joints at one offset of the clocks; None if too few samples lie within the joint log.
+
+    The offset is given by ``start``, the time of the instrument's first sample on the joint log's clock, s from the
+    joint log's first entry. At most ``most`` samples are taken.
+
+    Returns:
+        The samples, the offset ``-start``, s, and the mean sample time from the first sample, s.
+    """
     times = logs.times + start
     usable = np.flatnonzero(logs.covered(times))
     if len(usable) < LEAST_SAMPLES:
@@ -485,7 +516,10 @@ def _timed(logs: Logs, start: float, most: int, read: Read) -> tuple[Timed, floa
 
 
 def _first_guess(logs: Logs, read: Read) -> tuple[Timed, Identification, float, float]:
-    """Fit frames and clocks: return samples, the fit, the first guess of the offset, s, and the mean sample time, s.
+    """Fit base, tool and clocks, and decide between candidate offsets of the clocks.
+
+    Returns:
+        The samples, their fit, the first guess of the offset, s, and the mean sample time from the first sample, s.
 
     Raises:
         InputError: If no offset fits, or another one fits nearly as well.
@@ -521,7 +555,13 @@ def _first_guess(logs: Logs, read: Read) -> tuple[Timed, Identification, float, 
 
 
 def _fitted(nominal: Geometry, timed: Timed, start: Geometry | None) -> Identification:
-    """Fit base, tool and clocks to samples."""
+    """Fit base, tool and clocks to samples.
+
+    Args:
+        nominal: The arm's nominal geometry.
+        timed: The samples.
+        start: The geometry with base and tool to start from; None to compute a rough start from the samples.
+    """
     start = start or rough_start(nominal, timed.rows)
     return identify(frames_model(nominal), start, [timed], max_iterations=60)
 
@@ -530,7 +570,13 @@ def _fitted(nominal: Geometry, timed: Timed, start: Geometry | None) -> Identifi
 
 
 def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
-    """Return the indices of the samples of each rest of the arm, without the time in which the arm settles."""
+    """Return the indices, from 0, of the samples of each rest of the arm, without the time in which the arm settles.
+
+    Args:
+        logs: The recording.
+        times: Time of each sample on the joint log's clock ``(T,)``, s.
+        usable: Indices, from 0, of the samples that lie within the joint log.
+    """
     step = np.median(np.diff(logs.log))
     width = max(round(REST / step), 3)
     if len(logs.log) <= width:
@@ -555,7 +601,10 @@ def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
 
 
 def _thinned(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
-    """Return indices of single samples, spaced by a path length in joint space (`PATH`)."""
+    """Return the index, from 0, of single samples, spaced by a path length in joint space (`PATH`).
+
+    The arguments are those of `_rests`.
+    """
     joints = logs.joint_spline(times[usable])
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(joints, axis=0), axis=1))]
     _, first = np.unique(np.floor(way / max(PATH, way[-1] / MOST_ROWS)), return_index=True)

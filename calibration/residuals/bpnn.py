@@ -135,6 +135,7 @@ class Bpnn:
 
     @property
     def _dtype(self) -> type[np.floating[Any]]:
+        """The precision of predictions: single if ``fast`` is set, else double."""
         return np.float32 if self.fast else np.float64
 
     @cached_property
@@ -223,6 +224,7 @@ def train_bpnn(
 
 
 def _network(inputs: int, outputs: int, settings: BpnnSettings):  # type: ignore[no-untyped-def]
+    """Return the untrained torch network for these numbers of inputs and outputs."""
     from torch import nn
 
     layers: list[nn.Module] = []
@@ -237,6 +239,9 @@ def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-un
     """Run the training loop of Qiao 2026 eq (18) and return each epoch's loss.
 
     A short last batch is filled from the start of the epoch's shuffle.
+
+    ``model`` is the torch network. ``x`` ``(N, n)`` and ``y`` ``(N, k)`` are tensors of standardised inputs and
+    targets. The other arguments are those of `train_bpnn`.
     """
     import torch
 
@@ -265,7 +270,10 @@ def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-un
 
 
 def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: ignore[no-untyped-def]
-    """Return weights and biases with each batch normalisation folded into the linear layer before it."""
+    """Return weights ``(out, in)`` and biases of the torch network's linear layers.
+
+    Each batch normalisation is folded into the linear layer that precedes it.
+    """
     from torch import nn
 
     weights, biases = [], []
@@ -343,7 +351,10 @@ class CompiledNetwork:
 
 
 def _arranged(layer: Layer, inputs: int, outputs: int) -> NDArray[np.float32]:
-    """Return a layer's numbers in the order in which the code reads them: weights by tiles, then the bias."""
+    """Return a layer's numbers in the order in which the code reads them: weights by tiles, then the bias.
+
+    The layer is padded with zeros to ``inputs`` inputs and ``outputs`` outputs; a tile has `TILE` outputs.
+    """
     matrix, bias = layer
     padded = np.zeros((inputs + 1, outputs), dtype=np.float32)
     padded[: len(matrix), : len(bias)], padded[-1, : len(bias)] = matrix, bias
@@ -352,9 +363,12 @@ def _arranged(layer: Layer, inputs: int, outputs: int) -> NDArray[np.float32]:
 
 
 def _network_code(poses: int, starts: Sequence[int], shapes: Sequence[tuple[int, int]]) -> str:
-    """Return LLVM code that takes ``poses`` poses at a time through all layers, whose numbers begin at ``starts``.
+    """Return LLVM code that takes several poses at a time through all layers; two buffers hold the outputs in turn.
 
-    Two buffers hold the layers' outputs in turn.
+    Args:
+        poses: Number of poses at a time.
+        starts: Index, from 0, of each layer's first number.
+        shapes: Padded numbers of inputs and outputs of each layer.
     """
     half, last, calls = max(max(shape) for shape in shapes) * poses, len(shapes) - 1, list[str]()
     for i, (start, (inputs, outputs)) in enumerate(zip(starts, shapes, strict=False)):
@@ -382,7 +396,10 @@ done:
 
 
 def _layer(poses: int) -> str:
-    """Return LLVM code of one layer: with vectors of outputs for a single pose, with vectors of poses for several."""
+    """Return LLVM code of one layer for ``poses`` poses at a time.
+
+    It has vectors of outputs for a single pose, and vectors of poses for several.
+    """
     alone = poses == 1
     lanes, sums = (TILE, 1) if alone else (poses, SUMS)
     of_outputs, of_poses = (_row, _repeated) if alone else (_repeated, _row)
@@ -440,13 +457,13 @@ done:
 
 
 def _row(name: str, base: str, offset: str, lanes: int) -> str:
-    """Return LLVM code that loads numbers which are adjacent in memory."""
+    """Return LLVM code that loads ``lanes`` adjacent numbers from ``base`` + ``offset`` on into variable ``name``."""
     return f"""  {name}p = getelementptr float, ptr {base}, i64 {offset}
   {name} = load <{lanes} x float>, ptr {name}p, align 4"""
 
 
 def _repeated(name: str, base: str, offset: str, lanes: int) -> str:
-    """Return LLVM code that loads one number and repeats it in all lanes."""
+    """Return LLVM code that loads the number at ``base`` + ``offset`` into all ``lanes`` lanes of variable ``name``."""
     vector = f"<{lanes} x float>"
     return f"""  {name}p = getelementptr float, ptr {base}, i64 {offset}
   {name}l = load float, ptr {name}p, align 4

@@ -45,7 +45,7 @@ other data."""
 
 @dataclass(frozen=True)
 class GateVerdict:
-    """The gate's verdict on one residual model, with the errors behind it.
+    """The gate's verdict on one residual model, with the errors that the verdict comes from.
 
     Every RMS is of the position error's norm, m, unless its name says attitude (rad).
 
@@ -74,7 +74,7 @@ class GateVerdict:
 
 
 def selected(verdicts: Sequence[GateVerdict]) -> str | None:
-    """Return the name of the accepted model with the smallest inner RMS; None if no model was accepted."""
+    """Return the name of the accepted model with the smallest ``inner_rms``; None if no model was accepted."""
     best = min(filter(attrgetter("accepted"), verdicts), key=attrgetter("inner_rms"), default=None)
     return None if best is None else best.model
 
@@ -104,12 +104,12 @@ def gate_residuals(
     """Judge residual models on held-out blocks; `selected` then chooses among the accepted ones.
 
     On every split the arm is identified again from the training rows, and the residual is then fitted to the same rows.
-    A model is accepted if it cuts the blocked RMS by more than `MARGIN` and does not increase the attitude RMS by more
-    than `MARGIN`. It must do both again when cross-validated over contiguous folds of the blocked split's training
-    rows. The cross-validation also ranks the accepted models. So the held-out blocks may reject a model but never rank
-    models. If they also chose the best of several models, the error of that model on them would look too small. A
-    network takes seconds to fit. It is tried last and, beside others, only if one of them gains on the held-out blocks
-    (`SLOW`).
+    A model is accepted if it cuts the RMS on the held-out blocks by more than `MARGIN` and does not increase the
+    attitude RMS there by more than `MARGIN`. It must do both again when cross-validated over contiguous folds of the
+    training rows. The cross-validation also ranks the accepted models. So the held-out blocks may reject a model but
+    never rank models. If the blocks also chose the best of several models, its error on them would look too small. A
+    network takes seconds to fit, so it is tried last. If other models are tried too, it is tried only if one of these
+    gains on the held-out blocks (`SLOW`).
 
     Args:
         measurements: Poses or positions, in the order they were measured.
@@ -164,6 +164,7 @@ def position_rms(residuals: Array, counts: Array | None = None) -> float:
 
 
 def _attitude_rms(residuals: Array, counts: Array) -> float | None:
+    """Return the RMS attitude error, rad, weighted by ``counts`` ``(N,)``; None if residuals are positions alone."""
     return None if residuals.shape[1] < 6 else position_rms(residuals[:, 3:], counts)
 
 
@@ -173,13 +174,17 @@ weights of the held-out rows."""
 
 
 def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:
+    """Return the split of measurements into training and held-out rows (indices from 0), with the refitted arm."""
     train, test = measurements.select(train_rows), measurements.select(test_rows)
     model = refit(train)
     return train, test, train.difference(model), test.difference(model), counted(measurements.joints)[test_rows]
 
 
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array:
-    """Return the held-out rows' residual minus the prediction of a model that learns from the trial's training rows."""
+    """Return the held-out rows' residual minus the prediction of a model that learns from the trial's training rows.
+
+    The model is the registered one with this name, and ``fitter`` replaces its fit unless it is None.
+    """
     train, test, to_learn, untouched, _ = trial
     rows, rng = (train.joints, to_learn, train.prismatic), np.random.default_rng(seed)
     model = fit_residual(name, *rows, rng, conditions=train.conditions.inputs(), fitter=fitter)
@@ -194,7 +199,12 @@ def _wins_outside(verdict: GateVerdict) -> bool:
 def _verdict(
     verdict: GateVerdict, left_by: Callable[[Trial], Array], blocked: Trial, inner: Callable[[], Sequence[Trial]]
 ) -> GateVerdict:
-    """Complete a model's verdict; the inner trials are made only if the model wins on the held-out blocks."""
+    """Return a model's verdict, completed with errors, acceptance and reason.
+
+    ``left_by`` fits the model on a split and returns the held-out residuals that remain. ``blocked`` is the split with
+    held-out blocks. ``inner`` returns the splits within the training rows; it is called only if the model wins on
+    ``blocked``.
+    """
     *_, untouched, counts = blocked
     try:
         residual = left_by(blocked)
@@ -217,7 +227,13 @@ def _verdict(
 
 
 def _compared(before: Array, after: Array, counts: Array) -> tuple[bool, str]:
-    """Return whether a residual wins, and the reason in words; positions must gain, and attitudes must not lose."""
+    """Return whether a residual wins, and the reason in words; positions must gain, and attitudes must not lose.
+
+    Args:
+        before: Held-out residuals without the model ``(N, 3 or 6)``, m and rad.
+        after: Held-out residuals with the model, in the same shape.
+        counts: Weight of each row ``(N,)``.
+    """
     gain = 1.0 - position_rms(after, counts) / position_rms(before, counts)
     if not gain > MARGIN:
         return False, f"no gain: {'cuts' if gain >= 0 else 'raises'} the blocked RMS by {abs(gain):.0%}"

@@ -174,11 +174,13 @@ def k_means(points: Array, count: int, rng: np.random.Generator, rounds: int) ->
 
 
 def _squared_distances(points: Array, centres: Array) -> Array:
+    """Compute the squared distances ``(..., C)`` between points ``(..., F)`` and centres ``(C, F)``."""
     squares = np.sum(points**2, axis=-1)[..., None] + np.sum(centres**2, axis=-1) - 2.0 * points @ centres.T
     return np.asarray(np.maximum(squares, 0.0))
 
 
 def _gaussians(points: Array, centres: Array, width: float) -> Array:
+    """Compute Gaussian basis functions ``(..., C)`` of this width at points ``(..., F)``, for centres ``(C, F)``."""
     return np.asarray(np.exp(_squared_distances(points, centres) / (-2.0 * width**2)))
 
 
@@ -289,16 +291,21 @@ class GaussianProcess(SavedArrays):
         return np.reshape(mean * self.output_std + self.output_mean, (*inputs.shape[:-1], mean.shape[1]))
 
     def targets(self, output: int) -> Array:
-        """Return the training targets of one output ``(M,)``, minus their mean and divided by ``output_std``."""
+        """Return the training targets of the output with index ``output`` (from 0), standardised ``(M,)``."""
         smooth = self._kernel(output, self.rows) @ self.weights[output]
         return np.asarray(smooth + (self.noise[output] ** 2 + JITTER) * self.weights[output])
 
     def _kernel(self, output: int, inputs: Array) -> Array:
+        """Compute the kernel ``(N, M)`` of one output (index from 0) between inputs ``(N, F)`` and training rows."""
         return _kernel(inputs, self.rows, self.length_scales[output], float(self.amplitude[output]))
 
 
 def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: int) -> tuple[float, Array, float]:
-    """Return amplitude, length scales and noise at the best optimum of the marginal likelihood over all starts."""
+    """Return amplitude, length scales ``(F,)`` and noise at the best optimum of the likelihood over all starts.
+
+    ``inputs`` ``(M, F)`` and the output ``target`` ``(M,)`` are standardised. ``drawn`` is the number of random starts,
+    beside the two fixed ones.
+    """
     count = np.array([1, inputs.shape[1], 1])
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
     low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
@@ -315,7 +322,11 @@ def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: 
 
 
 def _search(start: Array, inputs: Array, target: Array, precision: float) -> tuple[Array, float]:
-    """Return the optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there."""
+    """Return the optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there.
+
+    The start and the two other arrays are those of `negative_log_likelihood`. The search ends when a step improves the
+    value by less than the share ``precision``.
+    """
     from scipy.optimize import fmin_l_bfgs_b
 
     bounds = np.log([AMPLITUDES, *[LENGTH_SCALES] * inputs.shape[1], NOISES]).tolist()
@@ -353,14 +364,22 @@ def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple
 
 
 def _factor(smooth: Array, noise: float) -> Array:
-    """Return the lower Cholesky factor of the kernel matrix with noise and `JITTER` on its diagonal."""
+    """Return the lower Cholesky factor of a kernel matrix, with the noise's variance and `JITTER` on its diagonal.
+
+    Args:
+        smooth: The kernel matrix without noise ``(M, M)``.
+        noise: Standard deviation of the noise.
+    """
     matrix = smooth.copy()
     matrix[np.diag_indices_from(matrix)] += noise**2 + JITTER
     return np.asarray(cholesky(matrix.T, lower=True, overwrite_a=True, check_finite=False))
 
 
 def _kernel(left: Array, right: Array, length: Array, amplitude: float) -> Array:
-    """Compute the kernel without noise between rows, in place, since fresh memory costs more than the arithmetic."""
+    """Compute the kernel without noise ``(N, M)`` between rows ``left`` ``(N, F)`` and ``right`` ``(M, F)``.
+
+    ``length`` ``(F,)`` are the inputs' length scales; ``amplitude`` is the prior standard deviation.
+    """
     a, b = left / length, right / length
     kernel = a @ b.T
     kernel -= 0.5 * np.sum(a**2, axis=1)[:, None]
@@ -399,7 +418,10 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
 
 
 def _of_output(process: GaussianProcess, output: int, normal: Array) -> tuple[Array, Array, Array]:
-    """Return frequencies ``(F, K)``, mean weights, and the weights' factor for one output of `feature_process`."""
+    """Return frequencies ``(F, K)``, mean weights, and the weights' factor for one output of `feature_process`.
+
+    ``output`` is an index from 0; ``normal`` are standard normal numbers ``(K, F)``, which set the frequencies.
+    """
     frequency = normal.T / process.length_scales[output][:, None]
     scale = float(process.amplitude[output]) / np.sqrt(len(normal))
     angle = process.rows @ frequency

@@ -74,6 +74,10 @@ def joint_inputs(
 
 
 def _raw_inputs(joints: Array, conditions: ArrayLike | None, periodic: NDArray[np.bool_]) -> Array:
+    """Return a regressor's inputs ``(..., F)`` before they are standardised.
+
+    These are joints, then sines and cosines of the joints marked in ``periodic`` ``(n,)``, then conditions.
+    """
     if conditions is None and not periodic.any():
         return joints
     turning = joints[..., periodic]
@@ -110,7 +114,7 @@ class LearntResidual:
         return self.model.predict(self.inputs(joints, conditions))
 
     def faster(self) -> LearntResidual:
-        """Return a faster version of this residual for control loops (see `Bpnn.fast`), or itself if there is none."""
+        """Return a faster version of this residual for control loops (see `Bpnn.fast`), or else this residual."""
         faster = getattr(self.model, "faster", None)
         return self if faster is None else replace(self, model=faster())
 
