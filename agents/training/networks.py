@@ -30,7 +30,12 @@ class ScaledFeatures(BaseFeaturesExtractor):
     """Feature extractor that scales observations; it has no trained parameters."""
 
     def __init__(self, observation_space: spaces.Dict, actions: bool = True) -> None:
-        """Make the extractor for a goal observation space; ``actions`` says whether actions shrink with the gap."""
+        """Make the extractor for a goal observation space.
+
+        Args:
+            observation_space: The space of goal observations.
+            actions: Whether the share of an action that is carried out shrinks with the gap between tool and goal.
+        """
         joints = observation_space["observation"].shape[0] - 3  # type: ignore[index]  # and the believed position
         scaling = Scaling(joints, goal=True, actions=actions)
         super().__init__(observation_space, scaling.features)

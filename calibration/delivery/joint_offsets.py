@@ -347,7 +347,7 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
 
 
 def _param(offset: float) -> str:
-    """Return the XML of the parameter "offset", for a joint that has none yet, from the calibration's offset."""
+    """Return the XML of a joint's new parameter "offset": minus the calibration's ``offset``."""
     return f'<param name="offset">{0.0 - float(offset)!r}</param>'
 
 

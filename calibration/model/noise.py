@@ -215,7 +215,7 @@ def _of_pictures(
     scatter: Array,
     sizes: Array,
 ) -> RowNoise:
-    """Estimate the noise of rows with many equations: each channel's scatter, and the pose error that a row's share.
+    """Estimate the noise of each channel, and the pose error common to a row's equations, of rows with many equations.
 
     For each of the E equations, ``tool`` has the derivatives with respect to the tool's pose ``(E, 6)``, ``residual``
     the whitened residual, ``rows`` and ``channels`` the indices of row and channel, ``leverage`` the leverage, and

@@ -113,7 +113,7 @@ class Result:
 
     @property
     def best_model(self) -> str:
-        """Name of the model that the calibration uses, the last of `errors`."""
+        """Name of the model that the calibration uses, the last of `errors`; "geometry" where none was learnt."""
         last = list(self.errors)[-1]
         return "geometry" if last in (fitting.GEOMETRIC, fitting.AS_CHOSEN) else last
 

@@ -524,7 +524,7 @@ def _left(there: Calibration, data: Measurements, errors: Array, model: ErrorMod
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:
-    """Subtract the residual model's part from the rows; ``learnt`` ``(N, 3 or 6)`` is that part with a minus sign."""
+    """Return the rows less the residual model's prediction; ``learnt`` ``(N, 3 or 6)`` is minus that prediction."""
     position = data.position + learnt[:, :3]
     if data.rotation is None or learnt.shape[1] < 6:
         return replace(data, position=position)

@@ -73,12 +73,13 @@ def first_rows(arm: Arm, data: Observations) -> First:
 def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.random.Generator) -> Array:
     """Draw joints within their limits at which the instrument can read something.
 
-    Half of the joint vectors that are tried are drawn from the joint ranges. The other half are drawn near joints where
-    the instrument is known to read something, at first those of the first rows, because a board is seen from few poses.
+    Half of the trials are drawn from the joint ranges. The other half are drawn near joints where the instrument is
+    known to read something, because a board is seen from few poses. These are joints of measured rows, and later also
+    those that were found here.
 
     Args:
         geometry: The nominal arm.
-        first: The instrument, from `first_rows`.
+        first: The rows measured so far, and what they determine of arm and instrument, from `first_rows`.
         count: Number of joint vectors wanted.
         rng: Draws the joint vectors.
 

@@ -457,7 +457,7 @@ done:
 
 
 def _row(name: str, base: str, offset: str, lanes: int) -> str:
-    """Return LLVM code that loads ``lanes`` adjacent numbers from ``base`` + ``offset`` on into variable ``name``."""
+    """Return LLVM code that loads ``lanes`` adjacent numbers, from ``base`` + ``offset``, into variable ``name``."""
     return f"""  {name}p = getelementptr float, ptr {base}, i64 {offset}
   {name} = load <{lanes} x float>, ptr {name}p, align 4"""
 

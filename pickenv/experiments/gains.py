@@ -142,7 +142,7 @@ def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array
 
 
 def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurements, Measurements]:
-    """Hold out two contiguous tenths of the rows; return the rows to fit, and the held-out rows.
+    """Hold out two blocks, each an unbroken tenth of the rows; return the rows to fit, and the held-out rows.
 
     Args:
         rows: The rows, in the order in which they were measured.
@@ -155,13 +155,13 @@ def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurement
 def left_of_blocks(
     arm: Arm, rows: Measurements, number: int, apart: int, rng: np.random.Generator, **models: Any
 ) -> dict[str, float]:
-    """Return the RMS position error of each model on two contiguous held-out tenths of the rows, mm, by model.
+    """Return each model's RMS position error, mm, on two held-out blocks, each an unbroken tenth of the rows.
 
     Args:
         arm: The arm.
         rows: The rows, in the order in which they were measured.
         number: Index of this set of rows, from 0; modulo 10 it is the index of the first held-out tenth.
-        apart: Distance from the first held-out tenth to the second, in tenths of the rows.
+        apart: Number of tenths from the first held-out one to the second; after the last tenth, counting goes on at 0.
         rng: Random numbers for the learnt models.
         models: Arguments of `left_by_models` that select the models.
     """

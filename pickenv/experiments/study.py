@@ -151,10 +151,10 @@ class StudyConfig:
         it_grades: ISO 286-1 grades of the lengths, in place of the grade of each class; None keeps the class's grade.
         methods: Methods of calibration, each "raw" (none), "ls", or "ls+" and a residual model, as in `METHODS`.
         poses: Numbers of calibration poses that are compared.
-        noise: Standard deviations of the tracker's readings. They include the tracker's errors of range and of
-            centring.
-        instrument: Instrument that measures the arms: a name of `pickenv.arm.load_instrument`, or a path. It also gives
-            the waiting time before each reading.
+        noise: Standard deviations of the readings, one for each case that is compared, in place of the instrument's
+            own. They include errors of range and of centring.
+        instrument: Instrument that measures the arms: a name of `pickenv.arm.load_instrument`, or a path. All but its
+            noise counts, such as the waiting time before each reading.
         residual_poses: Number of further poses for a learnt residual.
     """
 

@@ -187,7 +187,7 @@ def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> A
 
 
 def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
-    """Return the masses of spherical fruit, kg, from diameters, m, of any shape."""
+    """Return the masses of spherical fruit, kg, in an array of the same shape as their ``diameters``, m."""
     return np.asarray(size.density * np.pi / 6.0 * checks.numbers("fruit diameters", diameters, lowest=0.0) ** 3)
 
 
