@@ -519,7 +519,7 @@ LEAST_TARGETS = 8
 """Least number of targets that represent a workspace: twice the equations that a fitted base and tool alone explain."""
 
 
-def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, Array]:
+def workspace_joints(text: str | Path | None, geometry: Geometry, frames: str | None = None) -> tuple[str, Array]:
     """Return a workspace's name, and joints ``(M, n)``, rad or m, that represent it.
 
     Random joints are drawn with a fixed seed, so equal inputs give equal joints.
@@ -529,6 +529,7 @@ def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, 
             joints are in deg or mm (``q1=-90:90``). Ranges of the tool's position in the controller's base frame are in
             mm (``x=300:900``). Joints without a range move within their limits. None for all poses within the limits.
         geometry: The arm's nominal geometry.
+        frames: Whether base and tool are "known", as in `Choices.frames`; then a file may have any number of targets.
 
     Raises:
         InputError: If a range cannot be read, the arm hardly reaches anything in it, or a file has too few targets.
@@ -538,8 +539,9 @@ def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, 
         return "the joint limits", random_joints(geometry, WORKSPACE_POSES, rng)
     if "=" not in str(text):
         joints = joints_of(read_targets(text, geometry), geometry)
-        if len(joints) < LEAST_TARGETS:
-            raise InputError(f"{text}: {len(joints)} targets are no workspace; give {LEAST_TARGETS} or more")
+        if len(joints) < LEAST_TARGETS and frames != "known":
+            few = f"{len(joints)} targets are no workspace; give {LEAST_TARGETS} or more"
+            raise InputError(f"{text}: {few}, or `frames='known'` if base and tool are not fitted")
         return f"the targets of {text}", joints[equally_spaced(len(joints), WORKSPACE_POSES)]
     axes = [*(name.split("_")[0] for name in joint_columns(geometry.prismatic)), "x", "y", "z"]
     units = [1e-3 if slides else np.radians(1.0) for slides in (*geometry.prismatic, True, True, True)]

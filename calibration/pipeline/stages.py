@@ -433,7 +433,7 @@ def calibrate(
             raise InputError(f"`residual='{choices.residual}'` is for a single arm; leave it out for a whole robot")
         arm = replace(arm, nominal=arm.nominal.between(*between[0].tolist()))
     if choices.workspace is not None:
-        workspace_joints(choices.workspace, arm.nominal)  # what cannot be used is refused now, and not after the work
+        workspace_joints(choices.workspace, arm.nominal, choices.frames)  # refused now, and not after the work
     rng = rng or np.random.default_rng(choices.seed)
     few = test is None and test_rows is None and train.poses is not None
     few = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
@@ -455,7 +455,8 @@ def calibrate(
 
 def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
     """Return the result of a draft that went through all stages, judged by its errors on held-out rows."""
-    arm, fit, region = draft.arm, draft.best[1], workspace_joints(draft.choices.workspace, draft.arm.nominal)
+    arm, fit, choices = draft.arm, draft.best[1], draft.choices
+    region = workspace_joints(choices.workspace, arm.nominal, choices.frames)
     result = assess(
         arm, fit, draft.train, draft.test, fits=draft.fits, held_out=held_out, left_out=draft.left_out, workspace=region
     )

@@ -92,6 +92,7 @@ def test_targets_of_a_file_are_a_workspace_unless_a_fitted_base_and_tool_alone_e
     path.write_text("\n".join(rows[:-1]))
     with pytest.raises(InputError, match="7 targets are no workspace; give 8 or more"):
         workspace_joints(path, UR5)
+    assert len(workspace_joints(path, UR5, "known")[1]) == 7
 
 
 @pytest.mark.parametrize(
