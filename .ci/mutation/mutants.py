@@ -1,11 +1,12 @@
 """Would the tests notice? One operator, number or condition at a time is changed, in functions drawn at random.
 
 A sample is of fixed size, with a seed that is said before: every function of the package is as likely as any other,
-and one change to each that is drawn is tried. There is no drawing again. mutmut makes the changes. Each is tried in a
-copy of the project, test file by test file: first those that name the function, then those that name its module, then
-those of its room, until one fails, does not end in time, or all that take `BUDGET` together have passed. Text,
-messages, what a decorator covers and how a drawing looks are left as they are. Of a survivor that makes no difference
-the record may say why, under "makes_no_difference": it is then left out of the share.
+and one change to each that is drawn is tried. There is no drawing again. mutmut makes the changes. All tests run once
+without any, to see which run which lines. Each change is then tried in a copy of the project against the tests that
+run its line: first those of files that name the function, then its module, then those of its room, until one fails,
+does not end in time, or all that take `BUDGET` together have passed. A test counts only if it passes in the same
+company without the change. Text, messages, what a decorator covers and how a drawing looks are left as they are. Of a
+survivor that makes no difference the record may say why, under "makes_no_difference": it is then left out of the share.
 
 Run: python .ci/mutation/mutants.py [--count N] [--seed S] [--out FILE] [--page FILE]
 A run that was cut off goes on where it was.
@@ -23,29 +24,30 @@ import signal
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import islice
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import Annotated, Any
 
 import libcst as cst
 import typer
 from libcst.metadata import MetadataWrapper, PositionProvider
-from mutants_trials import LIBRARIES, ROOT, WARM, copied_project, run_tests
+from mutants_trials import LIBRARIES, PACKAGES, ROOT, WARM, Notes, Trial, copied_project
 from mutmut.mutation import mutators
 from mutmut.mutation.file_mutation import MutationVisitor
 from mutmut.mutation.pragma_handling import IgnoredCode
 
 LEAST_SECONDS, PATIENCE = 120.0, 5.0
-"""A file of tests may take this long, or this many times as long as it does without a mutant."""
+"""Tests may take this long, or this many times as long as they do without a mutant."""
 SAMPLE = 120
 """Functions of a sample."""
 
 BUDGET = 120.0
-"""Seconds, without a mutant, of the test files that one is tried against."""
-PACKAGES = ("pickenv", "calibration", "agents")
+"""Seconds, without a mutant, of the tests that one is tried against."""
+COPIES = 2
+"""Changes tried side by side."""
 RECORD, PAGE = ROOT / "docs/_static/mutants.json", ROOT / "docs/mutants.md"
 
 
@@ -198,7 +200,7 @@ def sample(seed: int) -> Iterator[tuple[str, Mutant]]:
             yield name, own[path, name].choice(mutants)
 
 
-def tests_for(path: str, function: str) -> list[str]:
+def files_near(path: str, function: str) -> list[str]:
     """Test files, nearest first: those that name the function, those that name its module, those of its room."""
     parts = Path(path).parts
     rooms = ["/".join(parts[start:end]) for start, end in ((1, -1), (0, -1), (1, -2), (0, 1))]
@@ -214,25 +216,90 @@ def tests_for(path: str, function: str) -> list[str]:
     return [place for _, place in sorted(near)]
 
 
-def verdict_of(mutant: Mutant, tests: list[str], copy: Path, seconds: dict[str, float]) -> str:
-    """What becomes of a mutant: the file of tests that notices it, or "" where it survives."""
-    spent = 0.0
-    for test in tests:
-        if test not in seconds:
-            begin = time.monotonic()
-            passed = run_tests(copy, [test], None) == "passed"
-            seconds[test] = time.monotonic() - begin if passed else float("nan")
-        if not seconds[test] >= 0.0:  # it fails, or holds nothing, without any mutant
-            continue
-        if spent and spent + seconds[test] > BUDGET:
-            continue
-        spent += seconds[test]
+def tests_for(function: str, mutant: Mutant, notes: Notes) -> list[str]:
+    """Tests that run the mutant's line, nearest first, then quickest, as many as take `BUDGET` together, one at least.
+
+    If no test runs it (it runs as the package is loaded, or in another program), all tests of the files nearby count.
+    """
+    files = {file: place for place, file in enumerate(files_near(mutant.path, function))}
+    runs = notes.tests.get((mutant.path, mutant.line)) or {
+        test for test in notes.seconds if test.split("::")[0] in files
+    }
+    ordered = sorted(runs, key=lambda test: (files.get(test.split("::")[0], len(files)), notes.seconds[test], test))
+    ends = accumulate(notes.seconds[test] for test in ordered)
+    return [test for i, (test, end) in enumerate(zip(ordered, ends, strict=True)) if i == 0 or end <= BUDGET]
+
+
+def patience(tests: list[str], notes: Notes) -> float:
+    """Seconds that tests may take."""
+    return max(LEAST_SECONDS, PATIENCE * sum(notes.seconds[test] for test in tests))
+
+
+def trials(mutant: Mutant, tests: list[str], copy: Path, notes: Notes) -> Generator[Trial, None, str]:
+    """Try a mutant, run by run, and return the test that notices it, or "" where it survives."""
+    while tests:
         (copy / mutant.path).write_text(mutant.code, encoding="utf-8")
-        said = run_tests(copy, [test], max(LEAST_SECONDS, PATIENCE * seconds[test]))
+        trial = Trial.start(copy, tests, patience(tests, notes))
+        yield trial
+        code, test = trial.verdict()
         shutil.copyfile(ROOT / mutant.path, copy / mutant.path)
-        if said != "passed":
-            return test if said == "failed" else f"{test}, which did not end in time"
+        if code == 0:
+            return ""
+        same = tests[: tests.index(test) + 1] if test in tests else tests
+        trial = Trial.start(copy, same, patience(same, notes))
+        yield trial
+        if trial.verdict()[0] == 0:
+            return test if code is not None else f"{test}, which did not end in time"
+        tests = [other for other in tests if other != same[-1]]  # it fails in this company without the mutant, too
     return ""
+
+
+def verdicts(
+    drawn: Iterable[tuple[str, Mutant]], copies: Iterable[Path], notes: Notes
+) -> Iterator[tuple[str, Mutant, str]]:
+    """Try mutants side by side, one in each copy; yield each with the test that notices it, as it is known."""
+    waiting, free = iter(drawn), list(copies)
+    running: list[tuple[str, Mutant, Path, Generator[Trial, None, str], Trial]] = []
+    try:
+        while True:
+            for function, mutant in islice(waiting, len(free)):
+                copy = free.pop()
+                trying = trials(mutant, tests_for(function, mutant, notes), copy, notes)
+                running.append((function, mutant, copy, trying, next(trying)))
+            if not running:
+                return
+            time.sleep(0.05)
+            for one in [one for one in running if one[-1].ended()]:
+                running.remove(one)
+                function, mutant, copy, trying, _ = one
+                try:
+                    running.append((function, mutant, copy, trying, next(trying)))
+                except StopIteration as end:
+                    free.append(copy)
+                    yield function, mutant, end.value
+    finally:
+        for *_, trial in running:
+            trial.verdict()
+
+
+def noted(copies: list[Path]) -> Notes:
+    """Run all tests once, shared between the copies, and note which run which lines."""
+    files = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "tests").rglob("test_*.py"))
+    paths = [copy.with_name(f"{copy.name}.notes") for copy in copies]
+    running = [Trial.start(copy, files[i :: len(copies)], float("inf"), paths[i]) for i, copy in enumerate(copies)]
+    try:
+        while not all(trial.ended() for trial in running):
+            time.sleep(0.5)
+    finally:
+        for trial in running:
+            trial.verdict()
+    return Notes.read(dict(zip(copies, paths, strict=True)))
+
+
+def counts_of(tried: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
+    """How many mutants are noticed, and of how many that make a difference."""
+    killed = sum(bool(one["noticed_by"]) for one in tried)
+    return killed, len(tried) - sum(bool(one.get("makes_no_difference")) for one in tried)
 
 
 def page_of(record: Mapping[str, Any]) -> str:
@@ -240,10 +307,14 @@ def page_of(record: Mapping[str, Any]) -> str:
     from pickenv.base import share_interval  # late: see WARM
 
     tried = record["mutants"]
-    killed = sum(bool(one["noticed_by"]) for one in tried)
-    equivalent = sum(bool(one.get("makes_no_difference")) for one in tried)
-    counted = len(tried) - equivalent
+    killed, counted = counts_of(tried)
+    equivalent = len(tried) - counted
     low, high = share_interval(killed, counted)
+    earlier = "".join(
+        f" An earlier sample, with seed {one['seed']}, ended after {one['tried']}: {one['noticed']} of"
+        f" {one['counted']} noticed."
+        for one in record.get("earlier", [])
+    )
     rows = [
         f"| `{one['function']}` | {one['file']} | `{one['change'].replace('|', chr(92) + '|')}` |"
         for one in tried
@@ -252,7 +323,9 @@ def page_of(record: Mapping[str, Any]) -> str:
     counts = f"{len(tried)} functions were drawn with seed {record['seed']}, and never again. {equivalent} changes"
     share = f"{100 * killed / counted:.0f} % ({100 * low:.0f} to {100 * high:.0f})**."
     share += f" They are drawn in this order until {SAMPLE} are tried." if len(tried) < SAMPLE else ""
-    return PAGE_TEXT.format(counts=counts, counted=counted, killed=killed, share=share, rows="\n".join(rows))
+    return PAGE_TEXT.format(
+        counts=counts, counted=counted, killed=killed, share=share, earlier=earlier, rows="\n".join(rows)
+    )
 
 
 PAGE_TEXT = f"""# Would the tests notice?
@@ -263,9 +336,10 @@ One operator, number, condition or option is changed in a function that is drawn
 package is as likely as any other. {{counts}} make no difference; of the other {{counted}} the tests notice {{killed}},
 **{{share}}
 
-A change is tried against the tests that name the function, its module or its room, as many as take {BUDGET:.0f} s.
-Other tests might notice more. Tests written for a survivor afterwards do not raise the share: only another sample
-does. What survived:
+A change is tried against the tests that run its line, nearest first, as many as take {BUDGET:.0f} s. Others might
+notice more. Tests written for a survivor afterwards do not raise the share: only another sample does.{{earlier}}
+
+What survived:
 
 | function | file | change |
 |---|---|---|
@@ -288,22 +362,28 @@ def main(
     seed = int(time.strftime("%Y%m%d")) if seed is None else seed
     record: dict[str, Any] = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
     if record.get("seed") != seed:
-        record = {"seed": seed, "mutants": []}
+        earlier = record.get("earlier", [])
+        if record.get("mutants"):
+            noticed, counted = counts_of(record["mutants"])
+            earlier.append(
+                {"seed": record["seed"], "tried": len(record["mutants"]), "noticed": noticed, "counted": counted}
+            )
+        record = {"seed": seed, "earlier": earlier, "mutants": []}
     known = {(one["file"], one["function"]) for one in record["mutants"]}
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     data = os.environ.get("PICKENV_DATA") or str(ROOT.parent / "shared/data")
     os.environ |= {"MPLBACKEND": "Agg", "PICKENV_DATA": data}
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
     WARM.set_forkserver_preload(["__main__", *LIBRARIES])
-    seconds: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder:
-        copy = copied_project(Path(folder))
-        for function, mutant in islice(sample(seed), count):
-            if (mutant.path, function) in known:
-                continue
-            noticed = verdict_of(mutant, tests_for(mutant.path, function), copy, seconds)
+        copies = [copied_project(Path(folder), f"project{i}") for i in range(COPIES)]
+        drawn = list(islice(sample(seed), count))
+        places = {(mutant.path, function): place for place, (function, mutant) in enumerate(drawn)}
+        missing = [(function, mutant) for function, mutant in drawn if (mutant.path, function) not in known]
+        for function, mutant, noticed in verdicts(missing, copies, noted(copies) if missing else Notes({}, {})):
             told = {"function": function, "file": mutant.path, "line": mutant.text, "change": mutant.change}
             record["mutants"].append(told | {"noticed_by": noticed})
+            record["mutants"].sort(key=lambda one: places.get((one["file"], one["function"]), -1))
             print(f"{len(record['mutants'])}/{count} {noticed or 'SURVIVES'}: {mutant.key}", flush=True)
             write_json(out, record)
     if page is not None:

@@ -73,10 +73,26 @@ def test_every_function_is_as_likely_as_any_other_and_a_larger_sample_holds_a_sm
         assert mutant.line in places[mutant.path, name]
 
 
-def test_tests_that_name_the_function_come_first_and_those_of_its_room_are_among_them(script):
-    tests = script.tests_for("pickenv/base/intervals.py", "clustered_share_interval")
+def test_files_that_name_the_function_come_first_and_those_of_its_room_are_among_them(script):
+    tests = script.files_near("pickenv/base/intervals.py", "clustered_share_interval")
     assert "clustered_share_interval" in (script.ROOT / tests[0]).read_text(encoding="utf-8")
     assert any(test.startswith("tests/base/") for test in tests) and len(set(tests)) == len(tests)
+
+
+def test_tests_that_run_the_line_are_tried_nearest_and_quickest_first_until_the_time_is_used_up(script):
+    seconds = {
+        "tests/a.py::far": 1.0,
+        "tests/base/test_intervals.py::slow": 90.0,
+        "tests/base/test_intervals.py::x": 9.0,
+    }
+    place = ("pickenv/base/intervals.py", 7)
+    mutant = script.Mutant(*place, "", "", None, None, None)
+    near = ["tests/base/test_intervals.py::x", "tests/base/test_intervals.py::slow"]
+    notes = script.Notes(seconds, {place: set(seconds)})
+    assert script.tests_for("share_interval", mutant, notes) == [*near, "tests/a.py::far"]
+    assert script.tests_for("share_interval", mutant, script.Notes(seconds, {})) == near  # no test runs it: the files
+    slower = script.Notes(seconds | {near[0]: script.BUDGET}, {place: set(seconds)})
+    assert script.tests_for("share_interval", mutant, slower) == near[1:]
 
 
 def test_the_copy_holds_every_module_and_nothing_that_was_made(script, tmp_path):
@@ -93,12 +109,18 @@ def test_the_page_says_the_share_without_what_makes_no_difference(script):
     tried = [
         {"function": f"f{i}", "file": "a.py", "change": "a | b -> b", "noticed_by": v} for i, v in enumerate(verdicts)
     ]
+    earlier = [{"seed": 6, "tried": 9, "noticed": 5, "counted": 8}]
     page = script.page_of(
-        {"seed": 7, "mutants": [*tried[:-1], tried[-1] | {"makes_no_difference": "it is never read"}]}
+        {
+            "seed": 7,
+            "earlier": earlier,
+            "mutants": [*tried[:-1], tried[-1] | {"makes_no_difference": "it is never read"}],
+        }
     )
     assert "20 functions were drawn with seed 7, and never again. 1 changes make no difference" in page
     assert "They are drawn in this order until 120 are tried." in page
     assert "of the other 19 the tests notice 17" in page and "89 % (69 to 97)" in page  # Wilson 1927
+    assert "An earlier sample, with seed 6, ended after 9: 5 of 8 noticed." in page
     assert "| `f17` | a.py | `a \\| b -> b` |" in page and "`f19`" not in page
 
 
