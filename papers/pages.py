@@ -7,11 +7,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pickenv.base import versions, write_text
 from pickenv.commands.showing import print_table
+from pickenv.inspect.colours import as_sentence
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, Part, Section, html_of
 from pickenv.inspect.runs.number_words import named_values
 
@@ -89,6 +91,7 @@ def write_page(
     made_by: Mapping[str, str],
 ) -> Path:
     """Write the page of a paper: the headline with its notes, the sections, and how to make it again."""
-    verdict = PageVerdict("note", headline(result), "\n".join(notes))
+    verdict = PageVerdict("note", headline(result), as_sentence("\n".join(notes)))
     facts = {**made_by, "Versions": named_values(versions())}
+    sections = [replace(s, parts=[p.spelled() if isinstance(p, PageTable) else p for p in s.parts]) for s in sections]
     return write_text(path, html_of(title, lead, verdict, sections, facts, contents=True))

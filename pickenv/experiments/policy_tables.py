@@ -23,7 +23,7 @@ from pickenv.experiments.engine import Experiment, Rows, piece_table, pivot, run
 from pickenv.experiments.methods import CalibrationPlan
 from pickenv.experiments.policies import RUNG, PolicySettings, run_policies
 from pickenv.inspect import Run
-from pickenv.inspect.colours import policy_label
+from pickenv.inspect.colours import as_sentence, policy_label
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
@@ -260,7 +260,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     first, text = rows[0], [f"{sentence}." for sentence in others]
     over = f"Intervals are at 95 % over {first['interval_over']}."
     text.append(over if first["ci95"] else f"No intervals: {first['no_interval']}.")
-    verdict = PageVerdict("note", nearest, " ".join(text))
+    verdict = PageVerdict("note", as_sentence(nearest), as_sentence(" ".join(text)))
     names = ("policy", "feedback", "plant")
     tables = (
         PageTable(
@@ -269,13 +269,13 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
             "intervals; those of one training say nothing of another one",
             ("policy", "calibration", *KEYS[2:], *HEADS),
             [cells_of(row) for row in rows],
-        ),
+        ).spelled(),
         PageTable(
             "What each calibration changes on the same arms and fruit, pair by pair; 95 % intervals over arms, and "
             "over trainings where there are several",
             (*names, "from", "to", "difference (mm)", "95 % (mm)", "significant"),
             [(*(line[name] for name in (*names, "from", "to")), *gain_words(line)) for line in worth],
-        ),
+        ).spelled(),
     )
     about = f"Simulated; arms of tolerance class {first['tolerances']} that no policy was trained on, seed {run.seed}"
     return plain_report(run, "Comparison of policies", about, verdict, tables, drawings(run))

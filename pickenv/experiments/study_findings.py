@@ -23,7 +23,7 @@ from pickenv.base import InputError, share_interval
 from pickenv.experiments import study
 from pickenv.experiments.study_rows import Row, held, quantiles_of, read_rows, study_of, yields_of
 from pickenv.experiments.study_variance import sensitivities_of
-from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours
+from pickenv.inspect.colours import GREEN, OTHERS, RED, in_words, policy_colours
 from pickenv.inspect.figures import style
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import alike, headline
@@ -276,8 +276,8 @@ def study_drawings(findings: Findings) -> Drawings:
         if isinstance(shares, str):
             drawings.append(Drawing(name, shares))
         else:
-            caption = f"What each tolerance explains of the variance between arms, each at its own fruit: {label}."
-            add(name, caption, tornado, shares, label)
+            caption = "What each tolerance explains of the variance between arms, each at its own fruit: "
+            add(name, f"{caption}{in_words(label)}.", tornado, shares, label)
     return drawings
 
 

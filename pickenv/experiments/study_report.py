@@ -25,7 +25,7 @@ from pickenv.experiments.study import LS, OK, RAW, StudyConfig, arm_commands, ca
 from pickenv.experiments.study_findings import Findings, gather, ranked, setting_label, study_drawings
 from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summary, study_of, write_sobol
 from pickenv.inspect import Comparison, RecordedPolicy, Run, write_drawings
-from pickenv.inspect.colours import TEXTS
+from pickenv.inspect.colours import TEXTS, in_words
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import PageTable, Part, Section, html_of
 from pickenv.inspect.runs.number_words import between, estimated, named_values
@@ -96,7 +96,7 @@ def study_page(folder: str | Path, findings: Findings) -> str:
     yields = (figures("yield_"), _yield_table(findings), _failures(findings))
     errors = (figures("error_"), _error_table(findings))
     shares = (*figures("sensitivity_"), *_sensitivity_tables(findings), *_sobol_tables(folder, findings))
-    explained = TEXTS["explained"]
+    explained, verdict = TEXTS["explained"], study_findings.study_verdict(config, findings.yields)
     sections = (
         Section("Yields", yields, explained["yields"]),
         Section("Errors", errors),
@@ -107,7 +107,7 @@ def study_page(folder: str | Path, findings: Findings) -> str:
         f"Tolerance study of {findings.protocol.design.name}",
         f"{config.arms} simulated arms in each of {len(findings.yields)} settings, {config.fruit} fruit each, seed "
         f"{config.seed}; nothing here was measured",
-        study_findings.study_verdict(config, findings.yields),
+        replace(verdict, headline=in_words(verdict.headline), text=in_words(verdict.text)),
         sections,
         _origin(Path(folder), config, summary),
         _tiles(config, summary),
@@ -136,7 +136,7 @@ def _yield_table(findings: Findings) -> PageTable:
         (setting_label(row), *_percents(row, "yield"), *(f"{row[key]}" for key in COUNTS)) for row in findings.yields
     ]
     heads = ("setting", "yield (%)", "95 % interval", "arms within", "arms", "without a result")
-    return PageTable(f"Arms that pick {study_findings.specified(findings.protocol.config)}", heads, rows)
+    return PageTable(f"Arms that pick {study_findings.specified(findings.protocol.config)}", heads, rows).spelled()
 
 
 def _failures(findings: Findings) -> str | PageTable:
@@ -166,7 +166,7 @@ def _error_table(findings: Findings) -> PageTable:
         for row in findings.yields
     ]
     caption = "Errors of an arm over its fruit: quantiles over arms, 95 % intervals, open where few arms set no bound"
-    return PageTable(caption, ("setting", *columns), rows)
+    return PageTable(caption, ("setting", *columns), rows).spelled()
 
 
 def _component_tables(summary: Row) -> list[Part]:
@@ -175,7 +175,7 @@ def _component_tables(summary: Row) -> list[Part]:
     for setting in summary["components"]:
         label, rows = setting_label(setting), setting["shares"]
         if setting["missing"] is not None:
-            parts.append(f"{label}: {setting['missing']}.")
+            parts.append(in_words(f"{label}: {setting['missing']}."))
         else:
             parts.append(_index_table(f"{label}: {rows[0]['arms']} further arms", heads, rows))
     return parts
@@ -183,7 +183,7 @@ def _component_tables(summary: Row) -> list[Part]:
 
 def _index_table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> PageTable:
     cells = [(row["group"], *_percents(row, "first_order"), *_percents(row, "total")) for row in rows]
-    return PageTable(caption, heads, cells)
+    return PageTable(caption, heads, cells).spelled()
 
 
 def _sensitivity_tables(findings: Findings) -> list[Part]:
@@ -192,14 +192,14 @@ def _sensitivity_tables(findings: Findings) -> list[Part]:
     for setting, shares in findings.sensitivities.items():
         label = findings.label(setting)
         if isinstance(shares, str):
-            parts.append(f"{label}: {shares}.")
+            parts.append(in_words(f"{label}: {shares}."))
             continue
         kinds = [(f"all {row['parameter']}", row) for row in shares if row["level"] == "kind"]
         parameters = [(row["parameter"], row) for row in shares if row["level"] == "parameter"][:MATTERS]
         rows = [(name, *_percents(row, "share")) for name, row in kinds + parameters]
         first = shares[0]
         caption = f"{label}: {first['arms']} arms, R² {first['r2']:.2f} (adjusted {first['r2_adjusted']:.2f})"
-        parts.append(PageTable(caption, heads, rows))
+        parts.append(PageTable(caption, heads, rows).spelled())
     return parts
 
 

@@ -48,8 +48,11 @@ NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
 TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / "words.toml").read_text("utf-8"))
 """Texts that readers see, by table, and within a table by the short names that files and commands use."""
 WORDS, ADDED, PLANTS = (TEXTS[table] for table in ("names", "added", "plants"))
-SHORT = re.compile(rf"(?:^|(?<=\+ ))(?:{'|'.join(ADDED)})\b|\b(?:{'|'.join(WORDS)})\b")
-FILES = re.compile(r"([^\s,;()]+\.(?:csv|npz|toml|urdf|xml|json|zip|py|bag|mcap)\b)")
+SPELLED = {**ADDED, **WORDS}
+SHORT = re.compile(
+    rf"(?<![\w./+-])(?:\w+(?= ?\+ ?(?:{'|'.join(SPELLED)})\b)|^(?:{'|'.join(ADDED)})|{'|'.join(WORDS)})"
+    r"(?: ?\+ ?[A-Za-z]\w*)*(?![\w/+-]|\.\w)"
+)
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
 """Keys of policies in the order in which figures and recordings list them. All other policies follow."""
 
@@ -117,16 +120,12 @@ def policy_label(key: str) -> str:
 def in_words(text: str) -> str:
     """Return a text with short names spelled out, such as "least squares + neural network" for "LS+BPNN".
 
-    If the whole text is the name of a plant (a simulated true arm), the plant's description follows in brackets. Names
-    of files are not changed.
+    If the whole text is the name of a plant (a simulated true arm), the plant's description follows in brackets. Parts
+    of longer names, such as those of files, are not changed.
     """
     if text in PLANTS:
         return f"{text} ({PLANTS[text]})"
-    parts = FILES.split(text)
-    for i in range(0, len(parts), 2):  # between them are the files
-        spaced = re.sub(r"(?<=\w) ?\+ ?(?=[A-Za-z])", " + ", parts[i])
-        parts[i] = SHORT.sub(lambda short: {**ADDED, **WORDS}[short[0]], spaced)
-    return "".join(parts)
+    return SHORT.sub(lambda short: " + ".join(SPELLED.get(n, n) for n in re.split(r" ?\+ ?", short[0])), text)
 
 
 def as_sentence(text: str) -> str:

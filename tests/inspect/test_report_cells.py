@@ -124,13 +124,13 @@ def test_a_demonstrations_page_cell_by_cell(
     }
     table, pair, forgiven = parts_of(page, "Reaches, by policy")
     assert table.heads == [
-        "policy", "within 1 mm (%)", "taken by li_cup (%)", "taken by compliant_hand (%)", "position, mean (mm)",
+        "policy", "within 1 mm (%)", "taken by suction cup (%)", "taken by compliant hand (%)", "position, mean (mm)",
         "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)",
     ]  # fmt: skip
     grips = gripped(shown)
     assert table.rows == [
         [
-            p.label,
+            in_words(p.label),
             share(np.count_nonzero(p.ends.position_error_mm <= 1.0), count),
             *(share(float(grips[p.label][1][name].sum()), count) for name in ("li_cup", "compliant_hand")),
             whole(p.ends.position_error_mm, 3),
@@ -149,12 +149,12 @@ def test_a_demonstrations_page_cell_by_cell(
     ]  # fmt: skip
     (cases,) = parts_of(page, "Does it matter?")
     assert cases.parts[0].rows == [
-        ("orchard (drifting arm), li_cup", "0", "51.2", "98.7", "+47.5"),
-        ("orchard (drifting arm), compliant_hand", "2", "90.0", "80.0", "-10.0"),
+        ["orchard (drifting arm), suction cup", "0", "51.2", "98.7", "+47.5"],
+        ["orchard (drifting arm), compliant hand", "2", "90.0", "80.0", "-10.0"],
     ]
     axes, floors, per_pose, _ = parts_of(page, "Held-out poses")
     wanted = [
-        f"{name} {np.degrees(np.linalg.norm(e[:, 3:], axis=1)).mean():.3f}°, of which "
+        f"{in_words(name)} {np.degrees(np.linalg.norm(e[:, 3:], axis=1)).mean():.3f}°, of which "
         f"{np.degrees(np.linalg.norm(part[:, 3:], axis=1)).mean():.3f}°"
         for name, e in trace.errors.items()
         for part in [noncompensable_error(shown.plant.geometry, trace.sets["test"], e)]
@@ -185,13 +185,13 @@ def test_a_demonstrations_page_cell_by_cell(
         f"This one calibration removes {gain.mean():.2f} mm ({said}) of a mean position error of {raw.mean():.2f} mm: "
         f"{100 * gain.mean() / raw.mean():.0f} %."
     )
-    assert matters("orchard (drifting arm)", CHANGES) in text
+    assert in_words(matters("orchard (drifting arm)", CHANGES)) in text
     assert f"{np.count_nonzero(raw <= 1.0)} without calibration." in text
     assert f"What remains is {whole(last, 2)} mm in the mean and at most {last.max():.2f} mm." in text
     lateral = [lateral_mm for lateral_mm, _ in grips.values()]
     own = demo_report.demo_verdict(shown)
     assert (
-        matters("qiao2026 (smooth arm)", pick_changes(lateral[0], lateral[-1])) in own.text
+        in_words(matters("qiao2026 (smooth arm)", pick_changes(lateral[0], lateral[-1]))) in own.text
         and own.headline == page.verdict.headline
     )
     worse = replace(policies[-1], position_error_mm=(raw + np.linspace(0.2, 0.4, count))[:, None])

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup, escape
 
 from pickenv.base import InputError, write_text
 from pickenv.calibration import Measurements, Observations, Result, random_joints
@@ -90,8 +89,8 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     if result.held_out.blocks is not None:
         held_out = f"each judged without its block of the {result.held_out.rows}"
     return html_of(
-        escape(f"Calibration of {result.arm.name}"),
-        escape(f"{len(train.joints)} {rows} from {Path(train.source).name}; {held_out}"),
+        f"Calibration of {result.arm.name}",
+        f"{len(train.joints)} {rows} from {Path(train.source).name}; {held_out}",
         _verdict(result, test),
         sections,
         _origin(result, train, test, seeds or {}),
@@ -120,22 +119,21 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
     if attitudes and r.has_nominal:
         was, now = attitudes[0].mean, attitudes[-1].mean
         sentence += f" The attitude error falls from {figure(was)} to {figure(now)} deg."
-    paragraphs = (escape(_sentence(quality.reason)) + _worth(r), sentence, _sentence(r.frames_text))
-    text = Markup("\n").join(paragraphs)
-    findings = [(weight, escape(_sentence(text))) for weight, text in quality.others]
+    text = "\n".join((_sentence(quality.reason) + _worth(r), sentence, _sentence(r.frames_text)))
+    findings = [(weight, _sentence(text)) for weight, text in quality.others]
     return PageVerdict(TONES[quality.grade], TEXTS["verdicts"][quality.grade], text, findings)
 
 
-def _worth(r: Result) -> Markup:
+def _worth(r: Result) -> str:
     """Return sentences that say whether the calibration changes picks, as if all errors were across the tool's axis.
 
     The text is empty if this is not known.
     """
     if r.miss_unit != "mm" or not r.has_nominal or r.pixels is not None:
-        return Markup()
+        return ""
     mm = norms_mm(r.errors)
     picks = matters("an arm with these errors ({})", pick_changes(mm[NOMINAL], list(mm.values())[-1]))
-    return Markup(" ") + escape(in_words(picks)).format(r.arm.name)
+    return " " + in_words(picks).format(r.arm.name)
 
 
 def _tiles(r: Result) -> dict[str, str]:
@@ -164,10 +162,8 @@ def _table(block: Block, look: str = "") -> PageTable:
 
     ``look`` is the CSS class, as for `PageTable`.
     """
-    if block.key in OF_MODELS:
-        return PageTable(_sentence(in_words(block.note)), block.header, block.rows, look)
-    rows = tuple(tuple(map(escape, row)) for row in block.rows)
-    return PageTable(escape(_sentence(block.note)), block.header, rows, look)
+    table = PageTable(_sentence(block.note), block.header, block.rows, look)
+    return table.spelled() if block.key in OF_MODELS else table
 
 
 def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
@@ -197,7 +193,7 @@ def _parameters(r: Result) -> Section:
         bar = "" if name in unknowns else (change, float(np.nan_to_num(row["std"])), limit)
         narrowed = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
         words = f"{figure(change)} ± {figure(row['std'])} {unit}"
-        return name, escape(parameter_words(name, joints, links)), words, bar, narrowed
+        return name, parameter_words(name, joints, links), words, bar, narrowed
 
     def table(caption: str, rows: Sequence[Mapping[str, Any]]) -> PageTable:
         return PageTable(caption, heads, [cells(row) for row in rows], "wide code")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from pickenv.inspect.colours import TEXTS, in_words
+from pickenv.inspect.colours import TEXTS, as_sentence, in_words
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
@@ -39,16 +39,17 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     enough = any(row["ci95_mm"] is not None for row in summary.policy_rows(episodes))
     intervals = summary.INTERVALS if enough else summary.NO_INTERVAL
     caption = f"Miss where the gripper closed, attitude at the end, and fruit picked by {episodes.gripper}; {intervals}"
-    tables = [PageTable(caption, summary.HEADS, summary.policy_cells(episodes))]
+    tables = [PageTable(caption, summary.HEADS, summary.policy_cells(episodes)).spelled()]
     if lines := summary.difference_cells(episodes):
         caption = "Fruit by fruit, the later policy minus the earlier one; of shares picked Newcombe's paired interval"
-        tables.append(PageTable(caption, summary.DIFFERENCES, lines))
+        tables.append(PageTable(caption, summary.DIFFERENCES, lines).spelled())
     if changed := summary.policy_changes(episodes):
         shares = f"taken, {changed['from']} (%)", f"{changed['to']} (%)"
         caption = "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)"
         heads = ("gripper", "fruit seen to, per axis (mm)", *shares, "change (points of %)")
-        tables.append(PageTable(caption, heads, [change_cells(change) for change in changed["changes"]]))
-    verdict = PageVerdict("note", summary.outcome_sentence(episodes), summary.explanation(episodes))
+        tables.append(PageTable(caption, heads, [change_cells(change) for change in changed["changes"]]).spelled())
+    headline, text = map(as_sentence, (summary.outcome_sentence(episodes), summary.explanation(episodes)))
+    verdict = PageVerdict("note", headline, text)
     plant = f" on the plant {in_words(episodes.plant_name)}" if episodes.plant_name else ""
     subtitle = f"Simulated; {len(episodes.seeds)} episodes of {episodes.env_id}{plant}, the same for all policies"
     return plain_report(run, "Comparison of policies", subtitle, verdict, tables, policy_drawings(episodes))

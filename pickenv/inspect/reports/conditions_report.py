@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pickenv.inspect.colours import in_words
+from pickenv.inspect.colours import as_sentence, in_words
 from pickenv.inspect.figures import plot_estimates
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
@@ -27,8 +27,9 @@ def drawings(run: Run) -> Drawings:
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """Return the page of a study of conditions as HTML; ``picture`` is not used."""
     result = load_result(run, CONDITIONS)
-    verdict = PageVerdict("note", *conditions_in_words(result))
-    tables = [PageTable(*table, look="dense") for table in condition_tables(result)]
+    headline, text = map(as_sentence, conditions_in_words(result))
+    verdict = PageVerdict("note", headline, text)
+    tables = [PageTable(*table, look="dense").spelled() for table in condition_tables(result)]
     ranges, settings = result["settings"]["ranges"], result["settings"]
     subtitle = (
         f"Simulated arm {in_words(result['plant'])}; up to {ranges['payload']:g} kg, {ranges['weather']:g} K cooler to "

@@ -127,7 +127,7 @@ def demo_verdict(comparison: Comparison, cases: Mapping[str, Sequence[Change]] |
         )
     lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
-    worth = " ".join(matters(in_words(name), changes) for name, changes in changed.items())
+    worth = in_words(" ".join(matters(in_words(name), changes) for name, changes in changed.items()))
     mean = said(after.mean, after.mean_ci95, 2)
     text = (
         f"{removed} {worth}\nWhat remains is {mean} mm in the mean and at most {after.max:.2f} mm. {picked} of "
@@ -150,7 +150,7 @@ def _cases(cases: Mapping[str, Sequence[Change]]) -> Section:
     ]
     heads = ("arm, gripper", "fruit seen to, per axis (mm)", "taken, raw (%)", "calibrated (%)", "change (points)")
     caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"
-    parts = [Section(caption, [PageTable(caption, heads, rows)])] if rows else ()
+    parts = [Section(caption, [PageTable(caption, heads, rows).spelled()])] if rows else ()
     return Section("Does it matter?", parts, TEXTS["explained"]["matters"])
 
 
@@ -191,7 +191,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
     some = "in brackets 95 % intervals over fruit" if len(comparison.fruit) >= LEAST_ROWS else NO_INTERVAL
     caption = f"Final errors of the reaches; {some}. {OF_ONE}"
     beside = drawn["position_error_by_policy"], drawn["reach_errors_cumulative"]
-    parts = (PageTable(caption, heads, rows, "close"), beside, drawn["success_against_misalignment"])
+    parts = (PageTable(caption, heads, rows, "close").spelled(), beside, drawn["success_against_misalignment"])
     return Section("Reaches, by policy", parts, TEXTS["explained"]["reaches"])
 
 
@@ -209,8 +209,8 @@ def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, 
     caption = "Errors per degree of freedom at the held-out poses, world axes"
     hint = "Hover to read a pose's millimetres."
     parts = (
-        axis_table(caption, stages, "{:.3f}".format),
-        _floors(comparison, trace) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
+        axis_table(caption, stages, "{:.3f}".format).spelled(),
+        in_words(_floors(comparison, trace)) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
         replace(drawn["error_per_test_pose"], spec=pose_spec(norms_mm(trace.errors)), hint=hint),
         (drawn["error_histogram"], drawn["error_against_extension"]),
     )

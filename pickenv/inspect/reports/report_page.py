@@ -1,8 +1,7 @@
 """The content of reports as data, and their rendering by templates as one HTML file without outside resources.
 
-The templates escape every text once, and spell out short names of models in it. Text with names of files, arms or
-joints is escaped before (`markupsafe.escape`), and reaches the page as it is. A page is light or dark like the reader's
-screen, and fit for print.
+The templates escape every text, and change nothing else in it. A page is light or dark like the reader's screen, and
+fit for print.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import gzip
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from importlib.resources import files
@@ -20,11 +19,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
-from markupsafe import Markup, escape
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from pickenv.calibration.assessment.screen import is_number
-from pickenv.inspect.colours import as_sentence, in_words
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import THEME, style
 from pickenv.inspect.runs.number_words import named_values
@@ -90,6 +89,11 @@ class PageTable:
         """
         cells = [cell for row in self.rows if (cell := row[column])]
         return column == 0 or 2 * sum(not isinstance(cell, str) or is_number(cell) for cell in cells) < len(cells)
+
+    def spelled(self) -> PageTable:
+        """Return the table with the short names of models and grippers in all its texts spelled out (`in_words`)."""
+        rows = [[in_words(cell) if isinstance(cell, str) else cell for cell in row] for row in self.rows]
+        return replace(self, caption=in_words(self.caption), heads=[*map(in_words, self.heads)], rows=rows)
 
 
 Part: TypeAlias = "str | PageTable | Drawing | bytes | Section | tuple[Part, ...] | Mapping[str, str] | None"
@@ -158,15 +162,13 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
-        finalize=lambda shown: in_words(shown) if type(shown) is str else shown,
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     environment.globals |= {"library": library, "bar_place": bar_place}
     environment.globals |= {"largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
     filters: dict[str, Callable[..., Any]] = {
-        "base64": packed,
+        "base64": lambda content: base64.b64encode(content).decode(),
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
-        "sentence": lambda text: text if isinstance(text, Markup) else escape(as_sentence(text)),
         "kind": lambda part: type(part).__name__,
         "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
     }
@@ -201,15 +203,10 @@ def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
 
 
 @cache
-def library() -> Markup:
+def library() -> str:
     """Return Plotly's library as gzip in base64, for pages with interactive figures."""
     plotly = (files("plotly") / "package_data" / "plotly.min.js").read_bytes()
-    return packed(gzip.compress(plotly, 9, mtime=0))
-
-
-def packed(content: bytes) -> Markup:
-    """Return bytes as base64 markup, which the page's templates leave unchanged."""
-    return Markup(base64.b64encode(content).decode())
+    return base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
 
 
 def plain_report(
