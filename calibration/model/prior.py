@@ -9,7 +9,7 @@ parts have no width. With "full", all parameters have infinite width, as in the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
@@ -32,6 +32,9 @@ TOLERANCE_CLASS = "cobot"
 
 FRAME_STD = 10.0
 """Standard deviation of a frame's coordinates about its aligned pose, m and rad: too wide to carry information."""
+
+TOLD = 0.1
+"""Limit up to which the rows determine a parameter of base or tool, as a share of `FRAME_STD`."""
 
 COEFFICIENT = 1.0
 """Prior standard deviation of a term's coefficient, as a multiple of its tolerance (1 mm or 1 mrad at the tool)."""
@@ -188,6 +191,20 @@ def expected_sizes(model: ArmModel) -> Array:
     counts = [len(term.names(model.geometry)) for term in model.terms]
     sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else COEFFICIENT for term in model.terms]
     return np.repeat(sizes, counts)
+
+
+def never_told(names: Sequence[str], covariance: Array) -> list[str]:
+    """Return the names of base and tool parameters that the rows of a fit do not determine.
+
+    An example is the tool's attitude if only positions were measured. The posterior of such a parameter is as wide as
+    its prior: metres, or turns. It is narrower where an unknown of the data shares the prior, as a wire's hook does.
+
+    Args:
+        names: Names of the identified parameters, p of them.
+        covariance: Their posterior covariance ``(p, p)``, m and rad.
+    """
+    wide = np.diag(covariance) > (TOLD * FRAME_STD) ** 2
+    return [name for name, free in zip(names, wide, strict=True) if free and name.startswith(("base_", "tool_"))]
 
 
 def _groups(parameters: ErrorModel, geometry: Geometry, known: bool) -> NDArray[np.str_]:

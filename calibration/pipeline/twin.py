@@ -24,7 +24,7 @@ from pickenv.arm.plant.twin_file import twin_plant
 from pickenv.base import InputError
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
-from pickenv.calibration.model.prior import FRAME_STD
+from pickenv.calibration.model.prior import never_told
 from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, GravityTerm, PeriodicTerm, ThermalTerm
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feature_process
@@ -187,16 +187,9 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 
 def _never_told(calibration: Calibration) -> list[str]:
-    """Return the names of base and tool parameters that the rows do not determine, and that a twin does not vary.
-
-    An example is the tool's attitude if only positions were measured. The posterior of such a parameter is as wide as
-    its prior: metres, or turns.
-    """
-    sure, names = uncertainty_from(calibration.record), calibration.model.parameter_names
-    if sure is None:
-        return []
-    wide = np.diag(sure.covariance) > 0.99 * FRAME_STD**2
-    return [name for name, free in zip(sure.names, wide, strict=True) if free and name in names]
+    """Return the names of base and tool parameters that a twin does not vary, since the rows do not determine them."""
+    sure = uncertainty_from(calibration.record)
+    return [] if sure is None else never_told(sure.names, sure.covariance)
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:

@@ -26,7 +26,7 @@ from pickenv.calibration.identification.robust import OUTLIER_SIGMA, align, apar
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, frames_model, joint_zeros_model
 from pickenv.calibration.model.measurements import OWN, Measurements
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, origins_of, same_poses
-from pickenv.calibration.model.prior import Prior
+from pickenv.calibration.model.prior import Prior, never_told
 from pickenv.calibration.pipeline.calibration import Calibration, measured_there, uncertainty_from
 from pickenv.calibration.planning.plan import exchange
 from pickenv.calibration.residuals.gate import position_rms
@@ -397,7 +397,8 @@ def verify(
         refit_rows: Number of rows to which these frames are refitted. The calibration is judged on the other rows.
 
     Raises:
-        InputError: If the data are not poses or positions, or too few. Also if one frame of a whole robot is named.
+        InputError: If the data are not poses or positions, or too few. Also if one frame of a whole robot is named, or
+            if ``refit`` lacks a frame that the calibration's own rows did not tell.
     """
     if calibration.arm.tree is not None:
         if len(refit) == 1:
@@ -408,6 +409,12 @@ def verify(
         raise InputError(f"{data.source} holds {data.kind}; a calibration is verified on poses or positions")
     if len(poses) < 3:
         raise InputError(f"{data.source}: {len(poses)} rows judge nothing; measure at least 3")
+    if untold := [frame for frame in _untold(calibration) if frame not in refit]:
+        raise InputError(
+            f"{data.source}: the place of {' and '.join(untold)} is not known for these rows, since "
+            f"{calibration.record['source']}, from which the arm was calibrated, does not tell it; give "
+            "`refit='base,tool'`"
+        )
     nominal = replace(calibration, model=ArmModel.of(calibration.nominal), learnt=None)
     poses, left_out = near_rows(calibration, poses, refit, refit_rows)
     if refit:
@@ -443,6 +450,16 @@ def verify(
 
     status, reason = _verdict(verification, cause)
     return replace(verification, status=status, reason=reason, reservation=calibration.reservations().get(DO_NOT_USE))
+
+
+def _untold(calibration: Calibration) -> list[str]:
+    """Return which of "base" and "tool" were fitted to rows that do not tell where they are, such as a wire's."""
+    sure = uncertainty_from(calibration.record)
+    if sure is None or calibration.record.get("frames") != "fitted":
+        return []
+    wide = never_told(sure.names, sure.covariance)
+    lost = {name.partition("_")[0] for name in wide if not name.startswith("tool_r")}  # a turn there moves no point
+    return [frame for frame in OWN if frame in lost or not any(name.startswith(frame) for name in sure.names)]
 
 
 def promised(calibration: Calibration, data: Measurements) -> Array:

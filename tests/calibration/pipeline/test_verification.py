@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,15 +11,29 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm import Arm, Geometry, Plant, Pose, forward, inverse, load_arm, rotation_matrix, rotation_vector
+from pickenv.arm import (
+    Arm,
+    Geometry,
+    Plant,
+    Pose,
+    draw_plants,
+    forward,
+    inverse,
+    load_arm,
+    load_tolerances,
+    rotation_matrix,
+    rotation_vector,
+)
 from pickenv.base import InputError
 from pickenv.calibration import (
     ArmModel,
     Choices,
     DistanceObservations,
     Measurements,
+    Observations,
     Result,
     Stacked,
+    TiltObservations,
     calibrate,
     error_statistics,
     frames_and_rows,
@@ -26,6 +41,7 @@ from pickenv.calibration import (
     random_joints,
     read_observations,
     simulated_tracker,
+    twin,
     verify,
 )
 from pickenv.calibration.assessment.metrics import block_interval
@@ -330,6 +346,45 @@ def test_bad_wishes_are_refused(result: Result, true: Geometry) -> None:
     joints = random_joints(true, 9, np.random.default_rng(0))
     with pytest.raises(InputError, match="holds distance; a calibration is verified on poses or positions"):
         verify(result.calibration, DistanceObservations(joints, np.ones(9), 1e-4))
+
+
+def hung(geometry: Geometry, tip_std: float, rows: int = 150) -> DistanceObservations:
+    """Lengths of a draw wire whose hook is at the tool's frame, or anywhere on the tool if ``tip_std`` is infinite."""
+    rng = np.random.default_rng(1)
+    joints = random_joints(geometry, rows, rng)
+    point = forward(replace(geometry, tool=TARGET), joints).position
+    length = np.linalg.norm(point - np.array([1.5, -2.0, 0.3]), axis=1) + NOISE * rng.normal(size=rows)
+    return DistanceObservations(joints, length, NOISE, source="wire.csv", tip_std=tip_std)
+
+
+def dipped(geometry: Geometry, rows: int = 150) -> TiltObservations:
+    rng = np.random.default_rng(1)
+    joints = random_joints(geometry, rows, rng)
+    down = -forward(geometry, joints).rotation[:, 2] + NOISE * rng.normal(size=(rows, 3))
+    return TiltObservations(joints, down, np.full((rows, 3), NOISE))
+
+
+@pytest.mark.parametrize(
+    ("data", "untold"),
+    [
+        (lambda arm: hung(arm, 0.0), "base"),
+        (lambda arm: hung(arm, np.inf), "base and tool"),
+        (dipped, "base and tool"),
+    ],
+    ids=["wire", "wire with an unknown hook", "tilt"],
+)
+def test_rows_that_never_told_base_and_tool_promise_no_positions(
+    ur5: Arm, true: Geometry, data: Callable[[Geometry], Observations], untold: str
+) -> None:
+    """A wire and an inclinometer see the arm, and not where a tracker stands; twins keep their tool."""
+    calibration = calibrate(ur5, data(true), choices=PLAIN).calibration
+    with pytest.raises(InputError, match=rf"^day2.csv: the place of {untold} is not known .*`refit='base,tool'`$"):
+        verify(calibration, seen(true, 2))
+    with pytest.raises(InputError, match="the place of base is not known"):
+        verify(calibration, seen(true, 2), ("tool",))
+    assert verify(calibration, seen(true, 2), FRAMES).refitted == 6
+    drawn = draw_plants(twin(calibration, ur5), load_tolerances("cobot"), 8, np.random.default_rng(0)).geometry
+    assert np.ptp(np.atleast_2d(drawn.tool.position), axis=0).max() < 5e-3
 
 
 def test_files_in_our_own_columns_are_one_set_up_or_stations_as_asked(ur5: Arm, true: Geometry, tmp_path: Path) -> None:
