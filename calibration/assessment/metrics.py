@@ -34,7 +34,8 @@ class ErrorStatistics:
 
     Attributes:
         mean: Mean norm.
-        mean_ci95: 95 % interval of the mean, from single errors or from blocks of them; None if these are too few.
+        mean_ci95: 95 % interval of the mean, from single errors or from blocks of them, and not below 0; None if these
+            are too few.
         rms: Root mean square of the norm.
         rms_ci95: 95 % interval of the root mean square, from blocks; None without blocks, with too few blocks, or if
             blocks differ by more than `MOST_APART`.
@@ -76,9 +77,10 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
         raise ValueError("error statistics need at least one error, all finite")
     norms = np.abs(errors) if errors.ndim == 1 else np.linalg.norm(errors, axis=1)
     axis = () if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0)))
+    ends = mean_interval(norms, LEAST_ROWS) if blocks is None else block_interval(norms, blocks)
     return ErrorStatistics(
         mean=float(norms.mean()),
-        mean_ci95=mean_interval(norms, LEAST_ROWS) if blocks is None else block_interval(norms, blocks),
+        mean_ci95=None if ends is None else (max(ends[0], 0.0), ends[1]),  # no mean norm is below 0
         rms=float(np.sqrt(np.mean(norms**2))),
         rms_ci95=None if blocks is None else block_interval(norms, blocks, rms=True),
         std=float(norms.std()),

@@ -93,3 +93,12 @@ def test_a_block_without_any_error_has_no_logarithm_and_so_the_rms_no_interval()
     values[4:8] = 0.0
     without = error_statistics(values, blocks)
     assert without.rms_ci95 is None and without.mean_ci95 is not None
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_no_interval_of_a_mean_norm_begins_below_zero(block):
+    """One block far off: the interval says that the mean may be anything from 0, and not that it may be negative."""
+    norms = np.random.default_rng(3).gamma(4.0, 0.5, (10, 6))
+    norms[block] *= 100.0
+    low, high = error_statistics(norms.ravel(), np.repeat(np.arange(10), 6)).mean_ci95
+    assert 0.0 <= low < norms.mean() < high and ordered_interval(norms.mean(axis=1))[0] < 0.0
