@@ -7,6 +7,7 @@ file. `shortened` cuts quotations in messages to one line. `decimal_number` deci
 from __future__ import annotations
 
 import codecs
+import difflib
 import re
 import shutil
 import stat
@@ -195,6 +196,20 @@ def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[i
 def listed(names: Iterable[str], length: int = 600) -> str:
     """Return names joined with commas for a message, each shortened, in at most ``length`` characters."""
     return shortened(", ".join(shortened(name) for name in names), length)
+
+
+def unknown(what: str, name: str, known: Sequence[str], where: str = "") -> str:
+    """Return a message on a name that is not known, with the known name that is most like it, and all of them.
+
+    Args:
+        what: What is named: "key".
+        name: The name.
+        known: The known names.
+        where: Words after the name, such as " in [load]".
+    """
+    near = difflib.get_close_matches(name, known, 1, 0.5)
+    perhaps = f"perhaps {near[0]} is meant: " if near else ""
+    return f"unknown {what} '{shortened(name)}'{where}; {perhaps}known are {listed(known)}"
 
 
 def is_file(path: str | Path) -> bool:

@@ -10,7 +10,6 @@ instead. Pydantic makes the checks; it is imported when the first file is read.
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
@@ -22,7 +21,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_args, get_origin, get_type_hints
 
 from pickenv.base.errors import InputError
-from pickenv.base.texts import is_file, listed, parsed, read_text, shortened
+from pickenv.base.texts import is_file, parsed, read_text, shortened, unknown
 
 Thing = TypeVar("Thing")
 Class = TypeVar("Class", bound=type)
@@ -537,10 +536,7 @@ def _fault(error: Mapping[str, Any], place: list[Any], content: Any, owner: str)
         case "no table":
             return f"{inside or shortened(place[-1])} must be a table"
         case "unknown":
-            near = difflib.get_close_matches(details["key"], details["known"], 1, 0.5)
-            perhaps = f"perhaps {near[0]} is meant: " if near else ""
-            quoted = f"'{shortened(details['key'])}'{f' in {inside}' if inside else ''}"
-            return f"unknown key {quoted}; {perhaps}known are {listed(details['known'])}"
+            return unknown("key", details["key"], details["known"], f" in {inside}" if inside else "")
         case "missing":
             return f"{details['key']}{f' of {inside}' if inside else ''} is missing; {details['wanted']}"
     depth = max(i for i, part in enumerate(place) if isinstance(part, str))

@@ -101,6 +101,27 @@ def test_an_argument_of_another_kind_is_refused_in_a_sentence(name, arguments, s
         MAKERS[name](**arguments)
 
 
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec], ids=["one", "vector"])
+@pytest.mark.parametrize(
+    ("name", "wrong", "meant"),
+    [
+        ("Reach", "tolerence_mm", "tolerance_mm"),
+        ("ReachGoal", "latecy", "latency"),
+        ("ReachIdeal", "max_tilt", "max_tilt_deg"),
+        ("ReachScaled", "dificulty", "difficulty"),
+        ("ReachTool", "tool_step", "tool_step_mm"),
+        ("Harvest", "slave", "slaves"),
+        ("PickScene", "leafs", "leaves"),
+        ("Pick", "griper", "gripper"),
+    ],
+)
+def test_an_argument_that_nothing_takes_is_named_with_the_one_like_it(make, name, wrong, meant):
+    with pytest.raises(InputError, match=f"^unknown argument '{wrong}'; perhaps {meant} is meant: known are .*{meant}"):
+        make(f"pickenv/{name}-v0", **{wrong: 1})
+    with pytest.raises(InputError, match=f"^unknown argument 'qwertz'; known are .*{meant}"):
+        make(f"pickenv/{name}-v0", qwertz=1)
+
+
 def test_joints_and_arms_asked_for_are_numbers():
     env = ReachEnv(arms="per_episode", population=4)
     several = ReachVectorEnv(2, arms="per_episode", population=4)

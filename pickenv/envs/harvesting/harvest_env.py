@@ -16,7 +16,7 @@ from pickenv.envs.shared.backends import Flags, Rows
 from pickenv.envs.shared.native_vector import NativeVectorEnv, set_spaces
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.spaces import given_options
-from pickenv.envs.shared.task import Compensate, checked_action
+from pickenv.envs.shared.task import Compensate, checked_action, refuse_unknown
 from pickenv.harvester import Machine
 from pickenv.pictures import arm_shapes, tree_shapes
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Rods, Stage, Words, rgba, spheres
@@ -133,6 +133,7 @@ class HarvestEnv(DrawnEnv):
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
         super().__init__(render_mode)
+        refuse_unknown(self, arguments, batch.make_harvest_task)
         self.task: batch.HarvestTask = batch.make_harvest_task(**arguments)
         self.compensator: Compensate | None = None
         self.observation_space, self.action_space = batch.harvest_spaces(self.task)
@@ -197,6 +198,7 @@ class HarvestVectorEnv(NativeVectorEnv):
     ) -> None:
         """See the class."""
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
+        refuse_unknown(self, arguments, batch.make_harvest_task)
         self.task: batch.HarvestTask = batch.make_harvest_task(**arguments)
         set_spaces(self, *batch.harvest_spaces(self.task))
         self.state: batch.HarvestState

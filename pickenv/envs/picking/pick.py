@@ -16,7 +16,7 @@ from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.simulation import ArmState, begin
 from pickenv.envs.shared.spaces import given_options
-from pickenv.envs.shared.task import checked_action
+from pickenv.envs.shared.task import OF_TASKS, checked_action, refuse_unknown
 from pickenv.pictures.stage import Stage
 
 
@@ -195,6 +195,7 @@ class PickEnv(ArmEnv):
 
     def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
+        refuse_unknown(self, arguments, on_ladder, make_pick, *OF_TASKS)
         task, self.orchard = make_pick(**on_ladder("Pick", **arguments))
         super().__init__(task, render_mode, executor)
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)

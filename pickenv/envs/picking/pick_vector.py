@@ -20,7 +20,7 @@ from pickenv.envs.shared.backends import Flags, Rows, Scalar, state_of_words, wo
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.native_vector import NativeVectorEnv, set_spaces
 from pickenv.envs.shared.simulation import ArmState, begin
-from pickenv.envs.shared.task import Compensators, Task
+from pickenv.envs.shared.task import OF_TASKS, Compensators, Task, refuse_unknown
 from pickenv.pictures.stage import Stage
 
 
@@ -67,6 +67,7 @@ class PickVectorEnv(NativeVectorEnv):
         **arguments: Any,
     ) -> None:
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
+        refuse_unknown(self, arguments, on_ladder, pick_scene.make_pick, *OF_TASKS)
         task, self.orchard = pick_scene.make_pick(**on_ladder("Pick", **arguments))
         self.task: Task = task
         self.metadata["render_fps"] = task.situation.frames_per_second

@@ -16,7 +16,7 @@ from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, standi
 from pickenv.envs.shared.backends import GOAL, NUMPY, Scalar, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.spaces import action_space, flat_space, given_goals, given_options, goal_space
-from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, checked_action, make_task
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, OF_TASKS, Task, checked_action, make_task, refuse_unknown
 from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_at_work, arm_look, cup_solids, joined_solids
 from pickenv.pictures.stage import SIZE, Stage, Words, fitted_eye
 from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
@@ -227,6 +227,7 @@ class ReachEnv(ArmEnv):
 
     def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
+        refuse_unknown(self, arguments, on_ladder, self.task_of, *OF_TASKS)
         super().__init__(self.task_of(**on_ladder("Reach", **arguments)), render_mode, executor)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)

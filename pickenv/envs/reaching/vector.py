@@ -20,7 +20,7 @@ from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.native_vector import NativeVectorEnv, set_spaces
 from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, given_goals, goal_space
-from pickenv.envs.shared.task import Task, check_choice, make_task
+from pickenv.envs.shared.task import OF_TASKS, Task, check_choice, make_task, refuse_unknown
 from pickenv.pictures.stage import Stage
 
 STATE = {"seeds": "_seeds", "episodes": "_episodes", "elapsed": "_elapsed", "ended": "_over"}
@@ -95,6 +95,7 @@ class ReachVectorEnv(NativeVectorEnv):
     ) -> None:
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
         check_choice("executor", executor, ("auto", *names("backend")))
+        refuse_unknown(self, arguments, on_ladder, self.task_of, *OF_TASKS)
         self.task: Task = self.task_of(**on_ladder("Reach", **arguments))
         self.metadata |= {"render_fps": self.task.situation.frames_per_second, "torch": executor == "torch"}
         set_spaces(self, goal_space(self.task) if self.goal_dict else flat_space(self.task), action_space(self.task))

@@ -6,9 +6,10 @@ SI units, except where a name says otherwise.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from inspect import signature
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE
 from pickenv.arm.plant.plant_file import class_of, draw_arms
 from pickenv.base import InputError, check_limit, shown
+from pickenv.base.texts import unknown
 from pickenv.envs.shared.situation import Components, Situation, make_situation
 
 # Zeros and ones that cost nothing: an arm's table is full of right angles, and arrays need not be multiplied by them.
@@ -374,6 +376,26 @@ def make_task(
         situation=setting,
         box=limits,
     )
+
+
+def refuse_unknown(env: Any, arguments: Iterable[str], *makers: Callable[..., Any]) -> None:
+    """Raise an `InputError` that names an argument of an environment if nothing takes it.
+
+    Args:
+        env: The environment, whose classes name some arguments.
+        arguments: Names of the arguments.
+        makers: Functions that take further arguments.
+    """
+    takers = (*(vars(kind)["__init__"] for kind in type(env).__mro__ if "__init__" in vars(kind)), *makers)
+    parameters = [parameter for taker in takers for parameter in signature(taker).parameters.values()]
+    known = sorted({parameter.name for parameter in parameters if parameter.default is not parameter.empty})
+    for name in arguments:
+        if name not in known:
+            raise InputError(unknown("argument", name, known))
+
+
+OF_TASKS = (make_task, make_situation)
+"""Functions that take the arguments of tasks of all arms."""
 
 
 def checked_region(given: Any) -> tuple[Components, Components]:
