@@ -94,7 +94,7 @@ def estimates_figure(
         else:
             axes[0].set_ylabel(label)
         for key, shade in colours.items():
-            axes[0].plot([], [], color=shade, linewidth=3.0, label=in_words(policy_label(str(key))))
+            axes[0].plot([], [], color=shade, linewidth=3.0, label=style.label_words(policy_label(str(key))))
         figure.suptitle(_result(rows, x, colour, panels), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
         if len(colours) > 1:
             style.legend_below(figure, axes[0], 4)
@@ -173,7 +173,7 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
         for axes, (name, sweep) in zip(panels, sweeps.items(), strict=True):
             levels = np.asarray(sweep["levels"], dtype=float)
             for i, group in enumerate(groups):
-                numbers, label = sweep["methods"][group[0]], in_words(" = ".join(group))
+                numbers, label = sweep["methods"][group[0]], style.label_words(" = ".join(group))
                 colour = style.rgb([ORANGE if group[0] == "raw" else METHODS[(i - 1) % len(METHODS)]])[0]
                 pattern = style.LINES[i % len(style.LINES)]
                 line: dict[str, Any] = {"linestyle": pattern, "marker": "o", "markersize": 3.0}

@@ -38,7 +38,7 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
             for distance, moments in zip(policy.position_error_mm, policy.moments, strict=True):
                 distance = np.maximum(distance[:moments], SMALLEST)
                 axes.plot(episodes.period * np.arange(moments), distance, color=colour, linewidth=0.7, alpha=0.7)
-            axes.plot([], [], color=colour, linewidth=3.0, label=in_words(policy.label))
+            axes.plot([], [], color=colour, linewidth=3.0, label=style.label_words(policy.label))
         label = f"{in_words(episodes.gripper)} forgives {episodes.tolerance_mm:g} mm"
         axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=label)
         axes.set_title(as_sentence(summary.outcome_sentence(episodes)))
@@ -138,7 +138,7 @@ def success_against_misalignment(
         marks = dict(zip(curves, style.MARKS * len(curves), strict=False))
         for (gripper, (x, y)), line in zip(curves.items(), style.LINES * len(curves), strict=False):
             axes.plot(x, 100.0 * np.asarray(y), linestyle=line, color=style.SOFT)
-            mark: dict[str, Any] = {"marker": marks[gripper], "markersize": 5, "label": in_words(gripper)}
+            mark: dict[str, Any] = {"marker": marks[gripper], "markersize": 5, "label": style.label_words(gripper)}
             axes.plot([], [], linestyle=line, color=style.SOFT, **mark)
         for policy, colour in colours.items():
             look: dict[str, Any] = {"color": colour, "markersize": 6}
@@ -147,7 +147,7 @@ def success_against_misalignment(
                     interval = [100.0 * (share if end is None else end) for end in ends]
                     axes.plot([error, error], interval, color=colour, lw=2.0)
                 axes.plot([error], [100.0 * share], marks[gripper], markeredgecolor=style.INK, **look)
-            axes.plot([], [], "o", label=in_words(f"{policy}: mean error, success"), **look)
+            axes.plot([], [], "o", label=style.label_words(f"{policy}: mean error, success"), **look)
         farthest = max((error for at in points.values() for error, _ in at.values()), default=0.0)
         # Shown is where the first gripper's success halves, and all policies.
         halved = [x[share <= 0.5 * share[0]][:1] for x, share in (map(np.asarray, curve) for curve in curves.values())]
@@ -193,9 +193,9 @@ def accuracy_against_cycle_time(
         grey = style.rgb([GREY])[0]
         axes.plot(times[:shortest], front, color=grey, linewidth=6, zorder=0, label="best so far")
         for policy, pattern in patterns.items():
-            axes.plot([], [], linestyle=pattern, color=style.SOFT, label=in_words(policy))
+            axes.plot([], [], linestyle=pattern, color=style.SOFT, label=style.label_words(policy))
         for name, colour in colours.items():
-            axes.plot([], [], color=colour, linewidth=3.0, label=in_words(name))
+            axes.plot([], [], color=colour, linewidth=3.0, label=style.label_words(name))
         style.plain_decades(axes.yaxis)
         figure.legend(loc="outside right center")
     return figure

@@ -238,7 +238,16 @@ def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float,
     Args:
         series: Maps a policy's or method's key, or its label, to its values. The key or label selects the colour.
     """
-    return [(in_words(label), series[label], colour) for label, colour in shades(series).items()]
+    return [(label_words(label), series[label], colour) for label, colour in shades(series).items()]
+
+
+def label_words(name: str) -> str:
+    """Return a name with short names spelled out (`in_words`), as a label that every legend shows.
+
+    Matplotlib leaves out of legends what begins with "_", so that a space is put before it.
+    """
+    words = in_words(name)
+    return f" {words}" if words.startswith("_") else words
 
 
 def whisker(axis: Any, y: float, value: float, ends: Sequence[float | None] | None, colour: Any) -> None:

@@ -265,6 +265,29 @@ def test_names_are_drawn_as_they_are_whatever_formulae_they_look_like(tmp_path):
         assert all(name in words for name in ODD_NAMES) and "mathdefault" not in words
 
 
+HIDDEN = {"_mine": np.array([0.1, 1.0, 5.0, 9.0, 10.0]), "raw": np.array([1.0, 2.0, 3.0, 4.0, 5.0])}
+HIDING: dict[str, Callable[[], Figure]] = {
+    "per pose": lambda: plot_errors.error_per_pose(HIDDEN),
+    "histogram": lambda: plot_errors.error_histogram(HIDDEN),
+    "cumulative": lambda: plot_errors.error_cumulative(HIDDEN),
+    "against": lambda: plot_errors.error_against(np.arange(5.0), HIDDEN, name="extension", unit="m"),
+    "funnel": lambda: plot_harvest.funnel_bars({name: {"present": 10, "collected": 7} for name in HIDDEN}),
+    "ISO 9283": lambda: plot_policies.accuracy_by_pose(HIDDEN, HIDDEN),
+    "drift": lambda: plot_policies.accuracy_drift(np.arange(5.0), HIDDEN),
+    "cycle time": lambda: plot_policies.accuracy_against_cycle_time({("_mine", "raw"): HIDDEN["raw"]}, 0.05),
+    "success": lambda: plot_policies.success_against_misalignment(
+        gripper_curves(), {"_mine": {"li_cup": (2.0, (1.0, None))}}
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HIDING)
+def test_legends_have_names_that_matplotlib_would_hide(name: str) -> None:
+    figure = HIDING[name]()
+    legends = [legend for axes in figure.axes if (legend := axes.get_legend()) is not None] + figure.legends
+    assert any(text.get_text().strip().startswith("_mine") for legend in legends for text in legend.get_texts())
+
+
 # What titles of figures say in numbers, and figures of conditions and aggregates, worked out by hand.
 def title(of: Axes | Figure) -> str:
     """Its words, without the breaks of lines and of numbers from their units."""
