@@ -330,8 +330,8 @@ class RotationTable:
         Messages name the ``section`` that has these columns, and ``key``, its key for the unit.
 
         Raises:
-            InputError: If there are not 3 or 4 columns, or not those of the convention, or if the unit of angles is
-                missing.
+            InputError: If there are not 3 or 4 columns, or not those of the convention, if the unit of angles is
+                missing, or if a quaternion has one.
         """
         count = len(self.columns)
         if self.convention is None and count not in (3, 4):
@@ -339,12 +339,14 @@ class RotationTable:
         wanted = count if self.convention is None else columns_of(self.convention)
         if count != wanted:
             raise InputError(f"convention '{self.convention}' needs {wanted} columns, but [{section}] has {count}")
-        if wanted == 4:
-            return "rad"
-        if self.unit not in ANGLES:
-            unit = "missing" if self.unit is None else shortened(repr(self.unit))
+        unit = "missing" if self.unit is None else shortened(repr(self.unit))
+        if wanted == 4 and self.unit is not None:
+            raise InputError(
+                f"{key} of [{section}] is {unit}, but '{self.columns[0]}' begins a quaternion; leave it out"
+            )
+        if wanted == 3 and self.unit not in ANGLES:
             raise InputError(f"{key} of [{section}] is {unit}; give {one_of(ANGLES).wanted}")
-        return str(self.unit)
+        return str(self.unit or "rad")
 
 
 @toml_table
@@ -365,7 +367,7 @@ class PosesTable:
 
     @property
     def attitudes(self) -> RotationTable:
-        """The columns of the attitude as a section [rotation]; for a quaternion, the unit has no effect."""
+        """The columns of the attitude as a section [rotation]."""
         return RotationTable(self.rotation_columns, self.rotation_unit, self.convention)
 
 

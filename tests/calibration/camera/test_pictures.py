@@ -207,6 +207,11 @@ height = 480
         ('["x", "y", "z"]', '["x", "y"]', r"\[poses\] has 2 columns; give three"),
         ('["x", "y", "z"]', '["x", "y", "y"]', r"'y' is given for column 2 of \[poses\] and for column 3"),
         ('["a", "b", "c"]', '["a", "b"]', r"convention 'kuka_abc' needs 3 columns, but \[poses\] has 2"),
+        (
+            '"c"]\nrotation_unit = "deg"\nconvention = "kuka_abc"',
+            '"c", "w"]\nrotation_unit = "deg"\nconvention = "abb_quaternion"',
+            r"rotation_unit of \[poses\] is 'deg', but 'a' begins a quaternion",
+        ),
         ("kuka_abc", "abb_quaternion", r"convention 'abb_quaternion' needs 4 columns, but \[poses\] has 3"),
         (
             '"c"]\nrotation_unit = "deg"\nconvention = "kuka_abc"',

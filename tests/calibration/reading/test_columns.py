@@ -146,15 +146,18 @@ def test_every_convention_has_a_referee(read, table):
     assert set(REFEREE) == set(str(refusal.value).partition("give one of ")[2].split(", "))
 
 
-@pytest.mark.parametrize("unit", ["deg", "rad"])
-@pytest.mark.parametrize("convention", REFEREE)
+@pytest.mark.parametrize(
+    ("convention", "unit"),
+    [(name, unit) for name in REFEREE for unit in ([""] if "quaternion" in name else ["deg", "rad"])],
+)
 def test_attitude_conventions(read, table, convention, unit):
-    angles = "quaternion" not in convention
+    angles = bool(unit)
     values = np.random.default_rng(3).normal(size=(10, 3 if angles else 4))
     values = values if angles else values / np.linalg.norm(values, axis=1, keepdims=True)
     names = ["r1", "r2", "r3", "r4"][: values.shape[1]]
-    rotation = f'rotation = {{ columns = {names}, convention = "{convention}", unit = "{unit}", std_deg = 0.02 }}\n'
-    written = np.degrees(values) if angles and unit == "deg" else values
+    said = f', unit = "{unit}"' if angles else ""
+    rotation = f'rotation = {{ columns = {names}, convention = "{convention}"{said}, std_deg = 0.02 }}\n'
+    written = np.degrees(values) if unit == "deg" else values
     data = read(
         JOINTS + POSITION + rotation.replace("'", '"'), text_of(np.column_stack([table, written]), HEADER + names)
     )
@@ -198,6 +201,14 @@ BAD_DESCRIPTIONS = {
     ),
     "two angles": (GOOD + Z.replace('"2 * Y", ', ""), r"convention 'kuka_abc' needs 3 columns"),
     "quaternion of three": (GOOD + Z.replace("kuka_abc", "abb_quaternion"), r"'abb_quaternion' needs 4 columns"),
+    "unit of a quaternion": (
+        GOOD + 'rotation = { columns = ["A", "B", "C", "D"], unit = "deg", convention = "abb_quaternion" }\n',
+        r"mine.toml: unit of \[rotation\] is 'deg', but 'A' begins a quaternion; leave it out",
+    ),
+    "unit of a quaternion without convention": (
+        GOOD + 'rotation = { columns = ["A", "B", "C", "D"], unit = "rad" }\n',
+        r"unit of \[rotation\] is 'rad', but 'A' begins a quaternion",
+    ),
     "separator of two characters": ("separator = ';;'\n" + GOOD, r"separator is ';;'"),
     "no separator": ("separator = ''\n" + GOOD, r"separator is ''"),
     "decimal sign": ("decimal = ':'\n" + GOOD, r"decimal is ':'"),
