@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import load_plant
-from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.arm import load_plant, write_twin
+from pickenv.calibration import Choices, calibrate, fit, random_joints, simulated_tracker
 
 EXPERIMENT = 'title = "t"\nmeasure = "idle_measure.py:measure"\nunits = { arm = 2 }\n'
 TARGETS = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,-60,60,-90,-90,10\n"
@@ -44,6 +44,7 @@ IDLE = [
     ("evaluate --compensation ls --epochs 3", "--epochs"),
     ("evaluate --compensation raw --cache kept", "--cache"),
     ("evaluate --plant coarse:ur5e --tolerances fine", "--tolerances"),
+    ("evaluate --plant twin.npz --tolerances fine --compensation raw --arms 1 --episodes 1", "--tolerances"),
     ("compare scripted --allow do-not-use", "--allow"),
     ("compare scripted --camera-noise 1", "--camera-noise"),
     ("compare random --env CartPole-v1 --grid-step 0.3", "--grid-step"),
@@ -62,11 +63,13 @@ IDLE = [
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with rows of a UR5e, its calibration by least squares, targets, and an experiment."""
+    """A folder with rows of a UR5e, its calibration by least squares, a twin of it, targets, and an experiment."""
     folder, plant, rng = tmp_path_factory.mktemp("idle"), load_plant("ideal:ur5e"), np.random.default_rng(0)
     rows = simulated_tracker(plant, random_joints(plant.arm.nominal, 30, rng), rng)
     rows.write_csv(folder / "rows.csv")
     fit(plant.arm, rows, known_frames=True).calibration.save(folder / "cal.npz")
+    with_priors = calibrate(plant.arm, rows, choices=Choices(terms="none", residual="none"))
+    write_twin(with_priors.plant(), folder / "twin.npz")
     measure = "def measure(**_): return {}"
     texts = {"targets.csv": TARGETS, "file.toml": EXPERIMENT, "idle_measure.py": measure, "own.yaml": ""}
     for name, text in texts.items():

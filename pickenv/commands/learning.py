@@ -136,6 +136,11 @@ def _refuse_class(option: str, plants: Sequence[str]) -> None:
         raise InputError(f"`{option}` changes nothing: plant '{plants[0]}' names its class itself; leave it out")
 
 
+def _is_told(plant: pickenv.Plant) -> bool:
+    """Return whether a plant is a twin of a calibration that dropped no parameter, so that none has a tolerance."""
+    return plant.posterior is not None and not len(plant.posterior.unseen)
+
+
 def _was_given(context: typer.Context, name: str) -> bool:
     """Return whether the option with the parameter ``name`` was given on the command line.
 
@@ -219,7 +224,13 @@ def evaluate(
     if cache is not None and set(settings.compensations) == {"raw"}:
         raise InputError("--cache keeps calibrations, and --compensation raw has none; leave --cache out")
     if _was_given(context, "tolerances"):
-        _refuse_class("tolerances", [name for name in settings.plants if not name.startswith(RUNG)])
+        plants = [name for name in settings.plants if not name.startswith(RUNG)]
+        _refuse_class("tolerances", plants)
+        if plants and all(_is_told(pickenv.load_plant(name)) for name in plants):
+            raise InputError(
+                f"`tolerances` changes nothing: the calibration behind twin '{plants[0]}' tells all of its parameters, "
+                "with priors of its own class; leave it out"
+            )
     kinds = [kind_of(name) for name in settings.policies]
     has_camera = "camera" in settings.feedback and any("camera" in kind.feedback for kind in kinds)
     if _was_given(context, "camera_noise") and not has_camera:
