@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
 from operator import or_
 from types import ModuleType
@@ -21,7 +21,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Array, Geometry, Pose, displace_pose, forward
+from pickenv.arm import Arm, Array, Geometry, Pose, displace_pose, forward
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.kinematics.backend import clipped, outside, possible, set_aside
 from pickenv.arm.kinematics.forward import Chain, Scalar, attach, chain_of, frames, split_joints, tool_frame
@@ -249,6 +249,7 @@ class Compensator:
         within95: Function of commands ``(..., n)`` that returns the bounds on 95 of 100 position errors, m, and
             attitude errors, rad, as counted on held-out rows; None if they are unknown.
         caution: The cautions of the calibration's verdict; None if there are none.
+        arm: The arm's nominal geometry as its file gives it; None if it is ``nominal``, except for base and tool.
     """
 
     nominal: Geometry
@@ -259,6 +260,12 @@ class Compensator:
     reservations: Mapping[str, str] = field(default_factory=dict)
     within95: Callable[[Array], tuple[Array | None, Array | None]] | None = None
     caution: str | None = None
+    arm: Geometry | None = None
+
+    def refuse_another(self, arm: Arm) -> None:
+        """Raise an `InputError` if an arm has another nominal geometry than the one that was calibrated."""
+        frames = {"base": arm.nominal.base, "tool": arm.nominal.tool}
+        arm.refuse_another(self.arm or replace(self.nominal, **frames), "the calibration is of an arm")
 
     def __call__(self, joints: ArrayLike) -> Array:
         """Compute joint commands ``(..., n)`` within the joint limits for joint targets ``(..., n)``, rad or m.

@@ -450,11 +450,7 @@ class Calibration:
         Raises:
             InputError: If the arm has another nominal geometry.
         """
-        if self.arm_fingerprint != arm.fingerprint():
-            raise InputError(
-                f"{name} belongs to arm '{self.arm_name}' with another geometry than '{arm.name}'; give the file "
-                "that it was made with, or calibrate this arm"
-            )
+        arm.refuse_another(self.arm, f"{name} belongs to arm '{self.arm_name}'")
 
     @property
     def unit(self) -> str | None:
@@ -497,11 +493,10 @@ class Calibration:
             learnt = learnt.faster() if fast else learnt
         anything = self.model.terms or learnt is not None
         residual = partial(remainder, self.model, learnt, conditions or Conditions()) if anything else None
-        sure, reservations = uncertainty_from(self.record), self.reservations()
+        sure = uncertainty_from(self.record)
         bounds = None if sure is None else partial(self._within95, sure, conditions)
-        return Compensator(
-            self.nominal, self.identified, residual, iterations, single_precision, reservations, bounds, self.caution
-        )
+        evidence = self.reservations(), bounds, self.caution, self.arm
+        return Compensator(self.nominal, self.identified, residual, iterations, single_precision, *evidence)
 
     def _within95(
         self, sure: PoseUncertainty, conditions: Conditions | None, joints: Array

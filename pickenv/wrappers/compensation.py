@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
 from typing import Any, SupportsFloat, TypeAlias, TypeVar
 
 import gymnasium as gym
@@ -12,7 +11,6 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
-from pickenv.arm import Geometry
 from pickenv.base import InputError, obey
 
 Observation = TypeVar("Observation")
@@ -175,13 +173,9 @@ def _install(seams: Sequence[Any], compensator: Compensate, allow: Collection[st
             raise InputError(f"{type(seam).__name__} has no compensation seam; wrap a pickenv environment")
         if seam.compensator is not None:
             raise InputError(f"{type(seam).__name__} already has a compensator; wrap it once")
-        arm, nominal = getattr(getattr(seam, "plant", None), "arm", None), getattr(compensator, "nominal", None)
-        if arm is not None and isinstance(nominal, Geometry):  # base and tool may be fitted
-            placed = replace(nominal, base=arm.nominal.base, tool=arm.nominal.tool)
-            if placed.fingerprint() != arm.nominal.fingerprint():
-                raise InputError(
-                    f"the calibration is of an arm with another geometry than '{arm.name}'; fit it for this arm"
-                )
+        arm, check = getattr(getattr(seam, "plant", None), "arm", None), getattr(compensator, "refuse_another", None)
+        if arm is not None and check is not None:
+            check(arm)
     for seam in seams:
         seam.compensator = compensator
 

@@ -12,7 +12,7 @@ import pickenv
 from pickenv.agents import ScriptedReach
 from pickenv.arm import displace_pose
 from pickenv.base import InputError
-from pickenv.calibration import Compensator
+from pickenv.calibration import Calibration, Compensator, fit, random_joints, simulated_tracker
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 
@@ -159,9 +159,29 @@ def test_a_calibration_of_another_arm_is_refused(reach, other):
         (gym.make_vec("pickenv/Reach-v0", 2, plant=other), CompensationVectorWrapper),
     ):
         with pytest.raises(
-            InputError, match=f"of an arm with another geometry than '{other[6:]}'; fit it for this arm"
+            InputError, match=f"of an arm with another geometry than '{other[6:]}'; give the file that it was made with"
         ):
             wrap(env, Compensator(arm, arm))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_an_arm_with_another_tool_is_another_arm_for_wrapper_and_file_alike(reach, known, tmp_path):
+    """The file's own base and tool count, and those that were fitted do not."""
+    plant, rng = pickenv.load_plant("geometry_only"), np.random.default_rng(0)
+    rows = simulated_tracker(plant, random_joints(plant.arm.nominal, 60, rng), rng)
+    calibration = fit(plant.arm, rows, known_frames=known).calibration
+    calibration.save(tmp_path / "arm.npz")
+    longer = displace_pose(plant.arm.nominal.tool, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
+    other = replace(plant.arm, nominal=replace(plant.arm.nominal, tool=longer))
+    env = reach()
+    CompensationWrapper(env, calibration.compensator(), allow=("fitted-frames",)).close()
+    env.unwrapped.plant = replace(plant, arm=other)
+    for refused in (
+        lambda: Calibration.load(tmp_path / "arm.npz", other),
+        lambda: CompensationWrapper(env, calibration.compensator(), allow=("fitted-frames",)),
+    ):
+        with pytest.raises(InputError, match=f"with another geometry than '{other.name}'; give the file that it was"):
+            refused()
 
 
 def test_a_copy_has_its_own(reach, compensator):

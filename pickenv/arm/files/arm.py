@@ -81,6 +81,19 @@ class Arm:
         """Return the hash of the nominal geometry; a calibration is refused on an arm with another hash."""
         return self.nominal.fingerprint()
 
+    def refuse_another(self, geometry: Geometry, what: str) -> None:
+        """Raise an `InputError` unless a geometry is this arm's nominal one.
+
+        Args:
+            geometry: The geometry for which something was made.
+            what: What was made, for the message: "the calibration belongs to arm 'ur5'".
+        """
+        if geometry.fingerprint() != self.fingerprint():
+            raise InputError(
+                f"{what} with another geometry than '{self.name}'; give the file that it was made with, or calibrate "
+                "this arm"
+            )
+
     def holding(self, payload: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Arm:
         """Return the arm with a payload at the tool, as part of its last link.
 
