@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from pickenv.arm import Pose, behind, forward, inverse_pose, load_arm, rotation_matrix, write_urdf
-from pickenv.arm.files.urdf import roll_pitch_yaw
+from pickenv.arm.files.urdf import roll_pitch_yaw, urdf_text
 from pickenv.base import InputError
 from pickenv.calibration import ArmModel, Calibration, export, random_joints
 from pickenv.calibration.delivery.corrected_chain import same_chain
@@ -226,6 +226,27 @@ def test_nothing_found_changes_nothing(hand_made, made, tmp_path):
     done = export(calibration, tmp_path / "out.urdf", onto=hand_made)
     assert done.path.read_bytes() == hand_made.read_bytes()
     assert done.notes == ("no joint origin differs from what the file has; nothing is changed",)
+
+
+@pytest.mark.parametrize("digits", [5, 6, 10, 17])
+@pytest.mark.parametrize("joint", [None, 2, 5])
+def test_origins_that_only_lose_the_files_rounding_count_as_they_were(digits, joint, made, tmp_path):
+    """One joint is a millimetre off; the others' right angles have as many digits as the file gives them."""
+
+    def rounded(found: re.Match[str]) -> str:
+        return f'{found[1]}="{" ".join(f"{float(value):.{digits}g}" for value in found[2].split())}"'
+
+    arm, own = load_arm("ur5"), tmp_path / "own.urdf"
+    own.write_text(re.sub(r'(xyz|rpy)="([^"]*)"', rounded, urdf_text(arm.nominal, "ur5")))
+    longer = arm.nominal.a + (0.0 if joint is None else 1e-3) * (np.arange(6) == (joint or 0))
+    found = ArmModel.of(replace(arm.nominal, a=longer))
+    done = export(replace(made(arm, np.random.default_rng(0)), model=found), tmp_path / "out.urdf", onto=own)
+    if joint is None:
+        assert done.notes[0].startswith("no joint origin differs from what the file has")
+        assert done.notes[0].endswith("nothing is changed") == (done.path.read_bytes() == own.read_bytes())
+    else:
+        assert done.notes[0].startswith("1 of 6 joint origins corrected: by up to 1 mm ("), done.notes[0]
+        assert done.notes[0].endswith("the file's rounding") == (digits < 17)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
