@@ -108,6 +108,10 @@ def restationed(
     standard deviations `CHANGE_STD`. This prior hardly matters in directions that the rows determine. In other
     directions the frames do not change.
 
+    The learnt residual is a function of the joints, so that it stays with the arm, and its axes turn with the base. It
+    is subtracted from the rows before the frames are fitted; else they would take up its mean over these few rows. It
+    is that of the old tool's point: how a learnt rotation moves the point of a new tool is not taken into account.
+
     Args:
         calibration: The calibration.
         data: Poses or positions measured at the other station.
@@ -136,6 +140,7 @@ def restationed(
         for start in _starts(calibration.model, few, own)
     ]
     near = min(fits, key=lambda fit: fit.chi_square).arm_model
+    few = _less(few, errors_there(replace(calibration, model=near), calibration, few) - few.difference(near))
     # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
     settled: list[Observations] = [few, replace(before, reference=near)]
     model_there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model

@@ -303,6 +303,23 @@ def test_zeros_that_drifted_are_told_where_a_residual_was_learnt_that_turns_the_
     assert said.status == "drifted" and "the joints' zeros explain it" in said.reason
 
 
+def test_what_was_learnt_is_no_part_of_where_the_instrument_stands(ur5: Arm, true: Geometry) -> None:
+    """Waves of two millimetres over the joints are the arm's own, and the frames do not take up their mean."""
+
+    def wavy(data: Measurements) -> Measurements:
+        return replace(data, position=data.position + 2e-3 * np.cos(2 * data.joints[:, :3]) @ HERE.rotation.T)
+
+    choices, across = Choices(terms="none", residual="gp", force=True), THERE.rotation @ HERE.rotation.T
+    calibration = calibrate(ur5, wavy(seen(true, 1, rows=200)), choices=choices).calibration
+    here = wavy(seen(true, 2))
+    there = replace(here, position=(here.position - HERE.position) @ across.T + THERE.position)
+    stayed = verify(calibration, here)
+    for rows in (6, 12, 30):
+        moved = verify(calibration, there, FRAMES, rows)
+        assert stayed.status == moved.status == "still good" and moved.refitted == rows
+        assert moved.calibrated.rms < 1.2 * stayed.calibrated.rms
+
+
 def test_zeros_that_drifted_are_told_wherever_the_instrument_stands(ur5: Arm, true: Geometry) -> None:
     """The residual, two millimetres of waves, was learnt in the axes of the base, which another station turns."""
 
