@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -35,6 +36,10 @@ MISFIT = 0.2
 
 SPAN = 0.1
 """Least spread of positions, m, of which `MISFIT` is a share, so that few and close positions are not refused."""
+
+SUSPECT, BETTER = 0.02, 5.0
+"""Misfit, as `MISFIT`, above which other readings of the joints are tried. One must stay below it, and be better by the
+factor."""
 
 GOOD = 0.05
 """A fit whose error is below this share of the spread needs no further starts."""
@@ -203,12 +208,18 @@ def refuse_another_arm(
 
     Raises:
         InputError: If positions miss by more than `MISFIT` of their spread, where the spread counts as at least `SPAN`,
-            or attitudes by more than `MISFIT` rad.
+            or attitudes by more than `MISFIT` rad. Also if the rows fit far better with two joints exchanged, or with
+            one that counts backwards.
     """
     if len(measurements) < 3:
         return  # no spread to speak of; `identify` says how many poses are needed
     position, turn = misfit(geometry, measurements)
     spread = float(np.linalg.norm(measurements.position.std(axis=0)))
+    if max(position * spread / max(spread, SPAN), turn) > SUSPECT:
+        better, reading = _other_reading(nominal or geometry, measurements, nominal is None)
+        if better < min(SUSPECT, (position + turn) / BETTER):
+            times = f"{(position + turn) / max(better, 1e-3):.0f} times better with {reading}"
+            raise InputError(f"{measurements.source}: {state} the arm fits {times}; correct the columns of the joints")
     if position * spread > MISFIT * max(spread, SPAN):
         whole = ArmModel.of(nominal or geometry).pose(measurements.joints, measurements.conditions)
         reach = float(np.linalg.norm(whole.position.std(axis=0)))
@@ -227,6 +238,22 @@ def refuse_another_arm(
             f"{measurements.source}: {state} attitudes still miss by {np.degrees(turn):.0f} deg RMS; "
             "check the attitude convention and its unit, and the joint signs"
         )
+
+
+def _other_reading(arm: Geometry, data: Measurements, known: bool) -> tuple[float, str]:
+    """Return the least misfit (`misfit`, both parts) with two joints exchanged or one turned round, and which in words.
+
+    ``known`` says whether the arm's base and tool are known; else each reading is judged with rough ones of its own.
+    """
+    data, names = data.select(equally_spaced(len(data), FILE_ROWS)), arm.joint_names
+    readings = {f"{name} counted backwards": data.joints * (1.0 - 2.0 * (np.array(names) == name)) for name in names}
+    for i, k in combinations(range(arm.joints), 2):
+        if arm.prismatic[i] == arm.prismatic[k]:
+            joints = data.joints.copy()
+            joints[:, [i, k]] = joints[:, [k, i]]
+            readings[f"{names[i]} and {names[k]} exchanged"] = joints
+    rows = {words: replace(data, joints=joints) for words, joints in readings.items()}
+    return min((sum(misfit(arm if known else next(_starts(arm, row)), row)), words) for words, row in rows.items())
 
 
 OUTLIER_SIGMA = 10.0
