@@ -11,7 +11,8 @@ Table 4 is run on the arm of Table 1, once for each of `--runs` seeds, and on `-
 class, each with `--seeds` seeds of its own; differences of methods have intervals over those arms. It is run on every
 plant of `PLANTS`. Seeds come from one SeedSequence. In full it takes about a quarter of an hour a plant.
 
-`--method` and `--plant` make some rows of Table 4 alone, on drawn arms, and write them to `--json`.
+`--method` and `--plant` make some rows of Table 4 alone, on drawn arms, and write them to `--json`; all methods but raw
+make the rank correlation of their order with the paper's too.
 
 Run: python -m papers.qiao2026 [--out runs/qiao2026] [--json FILE] [--quick] [--runs 5] [--arms 10] [--method LS]
 """
@@ -26,7 +27,6 @@ from typing import Annotated
 import numpy as np
 import typer
 from rich.progress import Progress
-from scipy.stats import spearmanr
 
 from papers.pages import headline, print_tables, table, write_page
 from papers.qiao2026 import verdicts
@@ -42,9 +42,9 @@ from papers.qiao2026.methods import (
     CLAIMS,
     METHODS,
     TOLERANCES,
-    Left,
     beside_paper,
     campaign,
+    correlations,
     difference,
     protocol,
     some_methods,
@@ -54,7 +54,7 @@ from papers.qiao2026.methods import (
 )
 from papers.qiao2026.page import NOTES, drawings, sections
 from pickenv.arm import load_plant, noncompensable_error, shipped_plants
-from pickenv.base import InputError, mean_interval, write_text
+from pickenv.base import InputError, write_text
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import BpnnSettings, identify, link_model
 from pickenv.envs.shared.task import check_choice
@@ -65,12 +65,6 @@ PLANTS = tuple(name for name in ("qiao2026", "field") if name in shipped_plants(
 """Where Table 4 is run: a smooth plant, and one as hard as measured arms."""
 SEED = 0
 IN_TABLE_6 = ("raw", "LS", "LS+BPNN")
-
-
-def correlation(left: Left) -> float:
-    """Rank correlation of one run's order of methods with the paper's."""
-    methods = METHODS[1:]
-    return float(spearmanr(*zip(*((PAPER["table4"][m][0], left.mean_mm(m)) for m in methods), strict=True)).statistic)
 
 
 def main(
@@ -127,7 +121,6 @@ def main(
         solved[name], errors = solutions(nominal, run.plant.geometry, run.identification, run.test)
     twin_left = table_4_run(protocol(twin(twin_arm), twin_run), settings, IN_TABLE_6)
     floor = noncompensable_error(run.plant.geometry, run.test.joints, errors["raw"])
-    by_arm = {name: each.by_arm(correlation) for name, each in campaigns.items()}
     eta = {name: [left.eta[name] for left in campaigns["qiao2026"].runs] for name in ("LS", "EKF")}
     paper, raw_errors = PAPER["table6"], twin_left.errors["raw"]
     tables = {
@@ -135,9 +128,7 @@ def main(
         "3": verdicts.table_3(PAPER, solved["qiao2026"]),
         "4": verdicts.table_4(
             {name: table_4_rows(name, each) for name, each in campaigns.items()},
-            rank_correlation_of_arms={
-                name: {"mean": float(values.mean()), "ci95": mean_interval(values)} for name, values in by_arm.items()
-            },
+            rank_correlation_of_arms=correlations(campaigns),
             attitude_floor_deg=float(np.degrees(np.linalg.norm(floor[:, 3:], axis=1)).mean()),
             eta_percent={
                 name: {"paper": PAPER["table4"]["eta_mean_percent"][name], "ours": float(np.mean(values))}

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from papers.qiao2026.equations import PAPER, mean_mm, paper_eta, parameter_vector, statistics
 from pickenv.arm import (
@@ -251,9 +252,25 @@ def drawn_arms_row(done: Campaign, method: str) -> dict[str, Any]:
     return {"arms_mm": float(by_arm.mean()), "arms_ci95_mm": mean_interval(by_arm)}
 
 
+def correlation(left: Left) -> float:
+    """Rank correlation of one run's order of methods with the paper's."""
+    methods = METHODS[1:]
+    return float(spearmanr(*zip(*((PAPER["table4"][m][0], left.mean_mm(m)) for m in methods), strict=True)).statistic)
+
+
+def correlations(campaigns: Mapping[str, Campaign]) -> dict[str, Any]:
+    """Rank correlation with the paper's order by plant: its mean over the drawn arms, and its interval."""
+    by_arm = {plant: done.by_arm(correlation) for plant, done in campaigns.items()}
+    return {plant: {"mean": float(values.mean()), "ci95": mean_interval(values)} for plant, values in by_arm.items()}
+
+
 def some_methods(campaigns: Mapping[str, Campaign], methods: Sequence[str]) -> dict[str, Any]:
-    """What some methods leave on the drawn arms of each plant, and their differences; of the layout of all results."""
+    """What some methods leave on the drawn arms of each plant, and their differences; of the layout of all results.
+
+    With all methods but raw there is the rank correlation of their order too.
+    """
     claims = {claim: pair for claim, pair in CLAIMS.items() if set(pair) <= set(methods)}
+    order = {"rank_correlation_of_arms": correlations(campaigns)} if set(METHODS[1:]) <= set(methods) else {}
     return {
         "tables": {
             "4": {
@@ -263,6 +280,7 @@ def some_methods(campaigns: Mapping[str, Campaign], methods: Sequence[str]) -> d
                     for method in methods
                 ]
             }
+            | order
         },
         "claims": {
             claim: {"rows": [{"plant": plant} | difference(done, *pair) for plant, done in campaigns.items()]}

@@ -7,7 +7,7 @@ import tomllib
 import numpy as np
 import pytest
 import typer
-from scipy.stats import t as student_t
+from scipy.stats import rankdata, t as student_t
 from typer.testing import CliRunner
 
 from papers.qiao2026 import verdicts
@@ -192,8 +192,15 @@ def test_some_methods_have_their_rows_on_each_plant_and_the_differences_between_
         return Campaign([], [[Left({m: rng.normal(size=(3, 6)) for m in METHODS}, {}, {})] for _ in range(10)])
 
     campaigns = {plant: done() for plant in ("smooth", "field")}
-    for methods in (("LS",), ("LS", "EKF"), ("BPNN", "LS", "LS+BPNN"), METHODS):
+    for methods in (("LS",), ("LS", "EKF"), ("BPNN", "LS", "LS+BPNN"), METHODS[1:], METHODS):
         some = some_methods(campaigns, methods)
+        orders = some["tables"]["4"].get("rank_correlation_of_arms", {})
+        assert set(orders) == (set(campaigns) if len(methods) > 3 else set())
+        for plant, order in orders.items():
+            ours = [[left.mean_mm(m) for m in METHODS[1:]] for (left,) in campaigns[plant].arms]
+            ranks = [rankdata([PAPER_MM[m] for m in METHODS[1:]]), *map(rankdata, ours)]
+            assert order["mean"] == pytest.approx(np.corrcoef(ranks)[0, 1:].mean())
+            assert order["ci95"][0] < order["mean"] < order["ci95"][1]
         rows = some["tables"]["4"]["rows"]
         assert [(row["plant"], row["method"]) for row in rows] == [(p, m) for p in campaigns for m in methods]
         for row in rows:
