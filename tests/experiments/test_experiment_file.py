@@ -162,6 +162,19 @@ def test_screens_and_json_say_the_same_numbers(file):
         assert all(len(line) == len(heads) for line in cells)
 
 
+def test_the_mean_of_each_run_stands_in_the_json(file):
+    several = FILE.replace("[units]", "[units]\ntraining = 3").replace('["arm"]', '["arm", "training"]', 1)
+    file.write_text(several.replace("toy_gains", "toy_trained"), encoding="utf-8")
+    trained = MEASURE.replace("arm, method, noise", "training, arm, method, noise").replace("(arm, method)", "(**_)")
+    trained = trained.replace("2.0 + 0.1 * arm", "2.0 + 0.1 * arm + training").replace('method != "none"', "True")
+    file.with_name("toy_trained.py").write_text(trained, encoding="utf-8")
+    found = load_experiment(file)
+    table, *_ = experiment_file.plain_estimates(found.estimates(run(found.experiment)))
+    for row in table["rows"]:
+        assert np.mean(row["runs"]) == pytest.approx(row["value"])
+        np.testing.assert_allclose(np.diff(row["runs"]), 1.0 if row["method"] == "raw" else 0.5, atol=0.1)
+
+
 def test_the_command_prints_writes_and_goes_on(file, tmp_path, capsys):
     words = ["experiment", str(file), "--out", str(tmp_path / "out"), "--json", str(tmp_path / "found.json")]
     words += ["--table", str(tmp_path / "rows.csv"), "--figures", str(tmp_path), "--executor", "serial"]

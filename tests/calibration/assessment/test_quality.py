@@ -154,6 +154,7 @@ def test_uncertainty_adds_what_one_reach_scatters_by_and_survives_the_file(calib
     assert (position > np.sqrt(3) * sure.position_repeat).all() and (attitude > np.sqrt(3) * sure.attitude_repeat).all()
     bare = replace(sure, position_repeat=0.0, attitude_repeat=0.0).standard(found.calibration.model, joints)[0]
     np.testing.assert_allclose(position**2, bare**2 + 3 * sure.position_repeat**2)
+    np.testing.assert_allclose(sure.from_parameters(found.calibration.model, joints), bare)
     saved = assess(dynamic.arm, found, train, test).calibration
     again = type(saved).load(saved.save(tmp_path / "c")).record
     kept = uncertainty_from(again)

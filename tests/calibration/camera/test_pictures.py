@@ -62,6 +62,14 @@ def test_a_real_camera(lens: str, rms: float, left_out: float, ical: Path, tmp_p
     assert len(by_view) == 15 and low < by_view.mean() < high
 
 
+def test_a_lens_that_is_roughly_known_keeps_what_it_is_told(ical: Path, tmp_path: Path) -> None:
+    """Focal lengths and centre to so many px, and the distortion to a number of its own."""
+    prior = '[camera]\nlens = "prior"\nprior_px = 3.0\nprior_distortion = 0.02'
+    folder, columns = views_folder(tmp_path, ical, ("[camera]", prior))
+    lens = read_observations([folder], pose_carrier().nominal, columns).numbers
+    assert lens.std.tolist() == [3.0] * 4 + [0.02] * 5 and lens.names[:5] == ("fx", "fy", "cx", "cy", "k1")
+
+
 def views_folder(tmp_path: Path, ical: Path, change: tuple[str, str] | None = None) -> tuple[Path, Path]:
     """A few of the real views, and their description, changed."""
     folder = tmp_path / "views"

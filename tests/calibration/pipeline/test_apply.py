@@ -206,6 +206,16 @@ def test_the_temperature_given_counts_for_commands_and_for_how_sure_they_are(war
     assert np.abs(sure[-20.0] / sure[20.0] - 1.0).max() > 1e-4
 
 
+def test_a_single_command_is_bounded_as_one_of_many(warm, qiao):
+    """Also where payload or temperature count."""
+    _, calibration = warm
+    compensator = calibration.compensator(conditions=Conditions(temperature=np.array(12.0)))
+    joints = inner_joints(qiao.nominal, 5, 3)
+    for many, *single in zip(compensator.within95(joints), *map(compensator.within95, joints), strict=True):
+        assert all(np.shape(bound) == () for bound in single)
+        np.testing.assert_allclose(single, many)
+
+
 def test_a_target_outside_the_limits_is_named_with_its_row_and_joint(calibration, dynamic):
     joints = inner_joints(dynamic.arm.nominal, 3, 0)
     joints[1, 2] = 2.0
