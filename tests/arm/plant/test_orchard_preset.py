@@ -1,6 +1,7 @@
 """The preset with every effect on: plausible sizes, switches, executors, and refusal of impossible numbers."""
 
 import json
+import re
 import math
 
 import numpy as np
@@ -204,6 +205,9 @@ def test_the_table_prints_and_is_json(shares):
         len([line for line in lines if line.startswith(tuple(name.replace("_", " ") for name in shares["alone"]))])
         == 15
     )
+    largest, mean = re.search(r"; (.+) alone would make ([\d.]+) mm", lines[0]).groups()
+    assert float(mean) == pytest.approx(max(share["mean"] for share in shares["alone"].values()), abs=0.005)
+    assert float(mean) == pytest.approx(shares["alone"][largest.replace(" ", "_")]["mean"], abs=0.005)
     again = json.loads(json.dumps(shares))
     assert again["unit"] == "mm"
     assert again["alone"]["base_tilt"]["mean"] == shares["alone"]["base_tilt"]["mean"]

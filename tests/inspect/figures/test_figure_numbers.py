@@ -227,7 +227,7 @@ def test_error_slices() -> None:
     *panels, bar = figure.axes
     assert "(mm)" in bar.get_xlabel()
     top = np.percentile(1e3 * np.linalg.norm(FIELDS["raw"], axis=1), 99)
-    assert bar.get_xlim()[1] == pytest.approx(top)
+    assert bar.get_xlim() == pytest.approx((0.0, top))
     for i, axes in enumerate(panels):
         label, layer = list(FIELDS)[i // 3], (1, 2, 3)[i % 3]
         if i < 3:
@@ -247,7 +247,7 @@ def test_error_fields(comparison: Comparison) -> None:
     *panels, bar = figure.axes
     assert figure.get_figwidth() == pytest.approx(WIDTH)  # three panels beside each other fill a page
     top = np.percentile(1e3 * np.linalg.norm(comparison.policies[0].field_errors, axis=1), 99)
-    assert bar.get_xlim()[1] == pytest.approx(top)
+    assert bar.get_xlim() == pytest.approx((0.0, top))
     titles = ["raw", "least squares", "least squares\n+ neural network"]
     assert [axes.get_title() for axes in panels] == titles
     for axes, policy in zip(panels, comparison.policies, strict=True):
