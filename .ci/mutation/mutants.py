@@ -44,7 +44,7 @@ LEAST_SECONDS, PATIENCE = 120.0, 5.0
 SAMPLE = 120
 """Functions of a sample."""
 
-BUDGET = 120.0
+BUDGET = 900.0
 """Seconds, without a mutant, of the tests that one is tried against."""
 COPIES = 2
 """Changes tried side by side."""

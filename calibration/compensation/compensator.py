@@ -264,8 +264,8 @@ class Compensator:
 
     def refuse_another(self, arm: Arm) -> None:
         """Raise an `InputError` if an arm has another nominal geometry than the one that was calibrated."""
-        drawn = self.arm or replace(self.nominal, base=arm.nominal.base, tool=arm.nominal.tool)
-        arm.refuse_another(drawn, "the calibration is of an arm")
+        design = self.arm or replace(self.nominal, base=arm.nominal.base, tool=arm.nominal.tool)
+        arm.refuse_another(design, "the calibration is of an arm")
 
     def __call__(self, joints: ArrayLike) -> Array:
         """Compute joint commands ``(..., n)`` within the joint limits for joint targets ``(..., n)``, rad or m.

@@ -469,12 +469,12 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
             calibration.refuse_another(arm_of(rows, path, "whole robot"))
         alike = identity_pose(), np.ones(arm.joints), np.zeros(arm.joints)
         branches = [row.joints for row in rows]
-        (moves, _), (drawn, _) = (corrected_origins(arm, fit, branches, alike) for fit in (robot, arm))
-        return Correction(moves, (moved_words(moves, drawn), *left_out(calibration, RIGID)))
+        (moves, _), (plain, _) = (corrected_origins(arm, fit, branches, alike) for fit in (robot, arm))
+        return Correction(moves, (moved_words(moves, plain), *left_out(calibration, RIGID)))
     with in_file(path):
         geometry, *_ = geometry_of(rows)
     same = same_chain(arm, geometry, path.name, calibration.arm_name)
-    (moves, tool_mount), (drawn, _) = (corrected_origins(arm, fit, [own.joints], same) for fit in (robot, arm))
+    (moves, tool_mount), (plain, _) = (corrected_origins(arm, fit, [own.joints], same) for fit in (robot, arm))
     root, _, zero = same
     fitted = calibration.record.get("frames") == "fitted"
     hand = behind(inverse_pose(own.tool), tool_mount)
@@ -488,7 +488,7 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
     beside = apart(behind(inverse_pose(tip), tool), hand)
     lies_beside = max(beside) > NOTHING
     behind_tip = hand if corrects and own.mount is None and frame and lies_beside else None
-    notes = [moved_words(moves, drawn), *_readings(calibration, own, same)]
+    notes = [moved_words(moves, plain), *_readings(calibration, own, same)]
     size = f"{beside[0] * 1e3:.3g} mm and {round(math.degrees(beside[1]), 6):g} deg"
     if fitted:
         notes.append(
@@ -558,15 +558,15 @@ def _readings(calibration: Calibration, own: JointRow, same: SameChain) -> Itera
         yield f"joints read otherwise in the file (rad, m): {', '.join(readings)}; its own reading is kept"
 
 
-def moved_words(moves: Sequence[tuple[ChainJoint, Pose]], drawn: Sequence[tuple[ChainJoint, Pose]]) -> str:
+def moved_words(moves: Sequence[tuple[ChainJoint, Pose]], plain: Sequence[tuple[ChainJoint, Pose]]) -> str:
     """Return a sentence that says how far the calibration moves joint origins.
 
     Args:
         moves: Each joint as the file has it, with its corrected origin.
-        drawn: The same for an arm without errors. These origins differ from the file's by its rounding alone.
+        plain: The same for an arm without errors. These origins differ from the file's by its rounding alone.
     """
-    pairs = [(joint, plain, new) for (joint, new), (_, plain) in zip(moves, drawn, strict=True)]
-    sizes = {joint.name: apart(plain, new) for joint, plain, new in pairs if any(is_moved(plain, new))}
+    pairs = [(joint, old, new) for (joint, new), (_, old) in zip(moves, plain, strict=True)]
+    sizes = {joint.name: apart(old, new) for joint, old, new in pairs if any(is_moved(old, new))}
     rounded = any(any(is_moved(joint.origin, new)) for joint, _, new in pairs if joint.name not in sizes)
     if not sizes:
         more = " by more than the file's rounding" if rounded else "; nothing is changed"

@@ -388,10 +388,10 @@ def refuse_unknown(env: Any, arguments: Iterable[str], *makers: Callable[..., An
     """
     takers = (*(vars(kind)["__init__"] for kind in type(env).__mro__ if "__init__" in vars(kind)), *makers)
     parameters = [parameter for taker in takers for parameter in signature(taker).parameters.values()]
-    known = sorted({parameter.name for parameter in parameters if parameter.default is not parameter.empty})
+    taken = sorted({parameter.name for parameter in parameters if parameter.default is not parameter.empty})
     for name in arguments:
-        if name not in known:
-            raise InputError(unknown("argument", name, known))
+        if name not in taken:
+            raise InputError(unknown("argument", name, taken))
 
 
 OF_TASKS = (make_task, make_situation)

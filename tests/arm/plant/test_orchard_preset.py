@@ -1,8 +1,8 @@
 """The preset with every effect on: plausible sizes, switches, executors, and refusal of impossible numbers."""
 
 import json
-import re
 import math
+import re
 
 import numpy as np
 import pytest
