@@ -114,6 +114,7 @@ def policies(
         workers: Number of processes; one per core if left out.
     """
     from pickenv.experiments import policy_tables
+    from pickenv.experiments.policies import RUNG
     from pickenv.inspect.colours import policy_label
     from pickenv.inspect.runs.run_folder import listed_files
 
@@ -121,13 +122,14 @@ def policies(
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
-    if split is not None and plant and not rung:
+    plants = (*(plant or ()), *policy_tables.rungs(rung or ()))
+    if split is not None and plants and not any(name.startswith(RUNG) for name in plants):
         raise InputError(f"--split {split} chooses among a rung's arms; name one with --rung, or leave --split out")
     usual = policy_tables.QUICK if quick else policy_tables.LEADERBOARD
     settings = replace(
         usual,
         policies=(*(("oracle",) if learned else usual.policies), *dict.fromkeys(policy or [])),
-        plants=(*(plant or ()), *policy_tables.rungs(rung or ())) or usual.plants,
+        plants=plants or usual.plants,
         seeds=tuple(range(seed, seed + seeds)),
         split=split or usual.split,
         arms=arms or usual.arms,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import typer
 from typer.main import get_command
+from typer.testing import CliRunner
 
 from pickenv.cli import app
 
@@ -125,6 +126,35 @@ def test_every_command_takes_the_options_of_its_cheap_size_and_a_seed(claims):
         written = {"--out"} if "writes" in entry else {"--out", "--json"}
         assert {*asked, "--seed"} | written <= set(options), entry["name"]
         assert {level.split("[")[0] for level in re.findall(r"{([^}]+)}", entry["cheap"])} <= set(entry["by"])
+
+
+class Begun(Exception):
+    """A command has taken its options, and would begin its work."""
+
+
+@pytest.mark.parametrize(
+    ("command", "place"),
+    [
+        ("pickenv bench policies", "pickenv.experiments.policy_tables.run_leaderboard"),
+        ("pickenv evaluate", "pickenv.experiments.policies.run_policies"),
+    ],
+)
+def test_no_row_of_a_comparison_is_refused_at_its_cheap_size(command, place, claims, tmp_path, monkeypatch):
+    def begin(*args, **options):
+        raise Begun
+
+    monkeypatch.setattr(place, begin)
+    known = {name: entry for name, entry in claims.entries().items() if entry.get("command") == command}
+    asked = {
+        entry["cheap"].format(**row["levels"])
+        for row in claims.record()["rows"]
+        if (entry := known.get(row["experiment"])) is not None
+    }
+    for options in sorted(asked):
+        words = f"{command.removeprefix('pickenv ')} {options} --seed 5 --out {tmp_path / 'out'}".split()
+        done = CliRunner().invoke(app, words)
+        assert isinstance(done.exception, Begun), f"{command} {options}: {done.output}"
+    assert asked
 
 
 @pytest.mark.parametrize("depth", [0, 1, 3])
