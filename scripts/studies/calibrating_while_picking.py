@@ -216,6 +216,7 @@ def curves(rows: Rows) -> Any:
         x, ends = np.arange(1, PICKS + 1), [point.ci95 or (point.value,) * 2 for point in points]
         axes.plot(x, [point.value for point in points], color=color, label=label, linewidth=1.3)
         axes.fill_between(x, *np.array(ends, dtype=float).T, color=color, alpha=0.2, linewidth=0)
+        axes.set(xticks=range(5, PICKS + 1, 5))
 
     panels = {level: (f"{level}, coarse", "pick on the same arm") for (level,) in rows.levels("plant")}
     return drawn(rows, "plant", panels, error, {"ylim": (0.0, None), "ylabel": "mean error (mm), 95 % interval"}, 2)
