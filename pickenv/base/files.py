@@ -16,6 +16,7 @@ import re
 import secrets
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -238,14 +239,16 @@ _held: set[str] = set()
 
 
 @contextmanager
-def locked(folder: str | Path) -> Iterator[None]:
+def locked(folder: str | Path, wait: bool = False) -> Iterator[None]:
     """Return a context in which only this process, with its child processes, may write into a run folder.
 
     Args:
         folder: The folder. Missing folders are made, and removed again if they stay empty.
+        wait: Whether to wait until no other process is at work in the folder.
 
     Raises:
-        InputError: If another process is at work in the folder, or the folder cannot be written.
+        InputError: If another process is at work in the folder and ``wait`` is False, or if the folder cannot be
+            written.
     """
     name = os.path.realpath(folder)
     if name in _held:
@@ -253,7 +256,7 @@ def locked(folder: str | Path) -> Iterator[None]:
         return
     path = Path(folder)
     new = [parent for parent in (path, *path.parents) if not parent.exists()]
-    handle = _take(path)
+    handle = _take(path, wait)
     _held.add(name)
     try:
         yield
@@ -267,7 +270,7 @@ def locked(folder: str | Path) -> Iterator[None]:
                 parent.rmdir()
 
 
-def _take(folder: Path) -> int:
+def _take(folder: Path, wait: bool) -> int:
     """Lock ``folder``, write this process's id into the lock file, and return the open file's descriptor."""
     path = folder / LOCK
     try:
@@ -275,6 +278,10 @@ def _take(folder: Path) -> int:
         while True:
             handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
             if not _lock(handle):
+                if wait:
+                    os.close(handle)
+                    time.sleep(0.2)
+                    continue
                 owner = os.read(handle, 20).decode("ascii", "replace") or "unknown"
                 os.close(handle)
                 busy = f"another run (process {owner}) is at work in {folder}"

@@ -37,7 +37,7 @@ from pickenv.agents import (
 )
 from pickenv.arm import Array, forward
 from pickenv.arm.effects.drives import MeasurementNoise
-from pickenv.base import run_seed, seed_words, stream
+from pickenv.base import locked, run_seed, seed_words, stream
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.envs import PickVectorEnv
 from pickenv.experiments import Rows, estimate
@@ -126,12 +126,13 @@ def tuned_filter(arms: int = 12) -> tuple[float, float]:
 
 
 def trained(policy: str, seed: int, folder: Path) -> RememberingPolicy:
-    """A training of a learnt policy; what is there is not trained again."""
+    """A training of a learnt policy; what is there is not trained again, nor what another process is training."""
     name, _, last = policy.partition(", ")
     training = replace(training_of(LEARNT[name], seed, folder / "calibration.npz"), **CHANGES[last])
     out = folder / "_".join([LEARNT[name], *last.replace(",", "").split()]) / str(seed)
-    if not (out / "policy.npz").is_file():
-        train(training, out, resume=(out / "checkpoint.pt").is_file())
+    with locked(out, wait=True):
+        if not (out / "policy.npz").is_file():
+            train(training, out, resume=(out / "checkpoint.pt").is_file())
     return load_remembering(out / "policy.npz")
 
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer
 
 import pytest
 
@@ -52,6 +53,13 @@ def test_the_second_process_is_told_the_folder_and_who_is_in_it(tmp_path: Path) 
         with locked(folder):
             assert (folder / ".lock").read_text() == str(os.getpid())
     assert list(folder.iterdir()) == []
+
+
+def test_a_process_that_waits_comes_in_when_the_other_one_is_gone(tmp_path: Path) -> None:
+    with elsewhere(tmp_path) as other:
+        Timer(0.5, other.communicate).start()
+        with locked(tmp_path, wait=True):
+            assert other.wait(10) == 0 and (tmp_path / ".lock").read_text() == str(os.getpid())
 
 
 def test_a_folder_made_for_nothing_is_taken_away_and_no_other(tmp_path: Path) -> None:
