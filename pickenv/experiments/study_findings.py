@@ -23,7 +23,7 @@ from pickenv.base import InputError, share_interval
 from pickenv.experiments import study
 from pickenv.experiments.study_rows import Row, held, quantiles_of, read_rows, study_of, yields_of
 from pickenv.experiments.study_variance import sensitivities_of
-from pickenv.inspect.colours import GREEN, OTHERS, RED, in_words, policy_colours
+from pickenv.inspect.colours import GREEN, OTHERS, RED, in_words, policy_colours, policy_label
 from pickenv.inspect.figures import style
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import alike, headline
@@ -170,14 +170,9 @@ def specified(config: study.StudyConfig) -> str:
     return f"at least {100 * config.share:g} % of the fruit within {config.radius_mm:g} mm"
 
 
-def method_label(method: str) -> str:
-    """Return a method's name as figures and reports show it: in capitals, such as LS+BPNN for ls+bpnn, except raw."""
-    return method if method == study.RAW else method.upper()
-
-
 def setting_label(row: Row) -> str:
     """Return a description of a setting in a few words, with units, from ``row``, one of the setting's rows."""
-    calibration = method_label(row["method"])
+    calibration = policy_label(row["method"])
     if row["method"] != study.RAW:
         calibration += f", {row['poses']} poses, noise {row['noise_mm']:g} mm"
     load = f", payload {row['payload_kg']:g} kg" if row["payload_kg"] else ""
@@ -195,7 +190,7 @@ def _ease(row: Row) -> tuple[Any, ...]:
 def _way(row: Row) -> str:
     how = "no calibration"
     if row["method"] != study.RAW:
-        how = f"{row['poses']} poses by a tracker of {row['noise_mm']:g} mm noise, {method_label(row['method'])}"
+        how = f"{row['poses']} poses by a tracker of {row['noise_mm']:g} mm noise, {policy_label(row['method'])}"
     return f"IT{row['it_grade']} ({row['tolerances']}) and {how}"
 
 
@@ -334,7 +329,7 @@ def distributions(quantiles: Sequence[Row], radius_mm: float) -> Figure:
         axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
         look, curves, row_of = _looks(rows, "it_grade"), dict[str, Array](), dict[str, Row]()
         for setting, row in sorted(settings.items(), key=lambda item: item[1]["method"] != study.RAW):
-            label = f"{method_label(row['method'])}, {_valued('it_grade', row)}"
+            label = f"{policy_label(row['method'])}, {_valued('it_grade', row)}"
             points = [(r["value"], 100.0 * r["probability"]) for r in rows if r["setting"] == setting]
             curves[label], row_of[label] = np.array(sorted(points, key=lambda point: point[1])).T, row
         for group in alike({name: np.log(curve[0]) for name, curve in curves.items()}, ALIKE):
@@ -482,7 +477,7 @@ def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterato
     for key in keys:
         curve = sorted((r for r in rows if (r[beside[0]], r[beside[1]]) == key), key=lambda row: row[along])
         detail = "" if beside[1] == "poses" and key[0] == study.RAW else f", {_valued(beside[1], curve[0])}"
-        yield method_label(key[0]) + detail, curve
+        yield policy_label(key[0]) + detail, curve
 
 
 def _valued(name: str, row: Row) -> str:

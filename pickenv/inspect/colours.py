@@ -113,8 +113,12 @@ def policy_rank(name: str) -> int:
 
 
 def policy_label(key: str) -> str:
-    """Return the label of a policy for readers, given its key: LS+BPNN for ``ls_bpnn``, my policy for ``my_policy``."""
-    return NAMES.get(key, key.replace("_", " "))
+    """Return the label of a policy for readers, given its key or the name of a calibration's method.
+
+    For example, LS+BPNN for ``ls_bpnn``, LS+RBF for ``ls+rbf``, and my policy for ``my_policy``.
+    """
+    words = key.replace("_", " ")
+    return NAMES.get(key, words.upper() if key.startswith("ls+") else words)
 
 
 def in_words(text: str) -> str:

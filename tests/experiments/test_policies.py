@@ -42,6 +42,7 @@ from pickenv.experiments.policy_tables import (
     cells_of,
     drawings,
     evaluation_content,
+    page,
     read_episodes,
     write_evaluation,
 )
@@ -143,6 +144,10 @@ def test_any_registered_residual_model_is_a_method_of_the_table(tmp_path):
     assert not np.array_equal(errors["ls+rbf"], errors["best"])
     assert {row["compensation"] for row in evaluation_rows(settings, rows)} == set(settings.compensations)
     assert calibrate_arm(load_plant("qiao2026"), "ls+rbf", SMALL.plan).learnt.kind == "rbf"
+    write_evaluation(settings, rows, tmp_path / "run")
+    shown = page(read_run(tmp_path / "run"))
+    for model in ("Gaussian process", "radial basis functions"):
+        assert f"least squares + {model}</td>" in shown and f"ls + {model}" not in shown
 
 
 def test_what_calibrates_nothing_is_refused():

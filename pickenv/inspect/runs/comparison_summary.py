@@ -18,7 +18,7 @@ from pickenv.arm import Array
 from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
-from pickenv.inspect.colours import in_words
+from pickenv.inspect.colours import in_words, policy_label
 from pickenv.inspect.runs.matters import Change, matters, pick_changes
 from pickenv.inspect.runs.number_words import said, unmarked
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
@@ -282,7 +282,7 @@ def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[floa
 
 def stage_label(calibration: Calibration) -> str:
     """Return a policy's label from its calibration: LS, or for example LS+BPNN if a residual model was learnt."""
-    return "LS" if calibration.learnt is None else f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
+    return policy_label("ls" if calibration.learnt is None else f"ls+{calibration.learnt.kind}")
 
 
 GAIN = 20.0
