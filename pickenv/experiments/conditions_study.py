@@ -30,6 +30,7 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions, link_model
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
 from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, require_residual
 from pickenv.experiments.engine import Experiment, Progress, Rows, joined, run
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.reports.conditions_report import HELD_OUT
 
 HELD = 60.0
@@ -43,6 +44,8 @@ REFERENCE, BLIND, TOLD, TERMS, BOTH = (
     "terms told",
     "terms and network told",
 )
+NETWORKS = ("bpnn", "rbf")
+"""Residual models that "network" names; any other one has its own name in its place."""
 
 
 RANGES = ("payload", "weather", "hours")
@@ -218,13 +221,18 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
         return fit_residual(settings.residual, data.joints, errors, data.prismatic, rng, conditions=inputs)
 
     inputs = told(varied, apart)
+    learner = "network" if settings.residual in NETWORKS else in_words(settings.residual)
     return {
         "raw": partial(left_by, model=ArmModel.of(nominal)),
         REFERENCE: partial(left_by, model=cold.arm_model, learnt=learnt(cold.arm_model, usual)),
         BLIND: partial(left_by, model=bare.arm_model, learnt=learnt(bare.arm_model, varied)),
-        TOLD: partial(left_by, model=bare.arm_model, learnt=learnt(bare.arm_model, varied, inputs), inputs=True),
+        TOLD.replace("network", learner): partial(
+            left_by, model=bare.arm_model, learnt=learnt(bare.arm_model, varied, inputs), inputs=True
+        ),
         TERMS: partial(left_by, model=knowing),
-        BOTH: partial(left_by, model=knowing, learnt=learnt(knowing, varied, inputs), inputs=True),
+        BOTH.replace("network", learner): partial(
+            left_by, model=knowing, learnt=learnt(knowing, varied, inputs), inputs=True
+        ),
     }
 
 

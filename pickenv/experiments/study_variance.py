@@ -119,7 +119,7 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
         InputError: If the setting has another method, or fewer than `LEAST_ARMS` arms exist or can be judged.
     """
     if setting.method not in (RAW, LS):
-        raise InputError(f"components of variance of method '{setting.method}' would take too long")
+        raise InputError("components of variance would take too long behind a residual model")
     count = min(MOST_ARMS, protocol.config.arms)
     if count < LEAST_ARMS:
         raise InputError(f"{count} arms are too few to divide their variance; give {LEAST_ARMS}")

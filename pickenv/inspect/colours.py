@@ -50,7 +50,7 @@ TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / 
 WORDS, ADDED, PLANTS = (TEXTS[table] for table in ("names", "added", "plants"))
 SPELLED = {**ADDED, **WORDS}
 SHORT = re.compile(
-    rf"(?<![\w./+-])(?:\w+(?= ?\+ ?(?:{'|'.join(SPELLED)})\b)|^(?:{'|'.join(ADDED)})|{'|'.join(WORDS)})"
+    rf"(?<![\w./+-])(?:\w+(?= ?\+ ?(?:{'|'.join(SPELLED)})\b)|^(?:{'|'.join(ADDED)})(?! [a-z])|{'|'.join(WORDS)})"
     r"(?: ?\+ ?[A-Za-z]\w*)*(?![\w/+-]|\.\w)"
 )
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))

@@ -211,6 +211,16 @@ def test_the_command_prints_the_numbers_that_it_writes(tmp_path: Path) -> None:
             assert all(f"{each['mean_mm']:.3f}" in said for each in by_level)
 
 
+def test_methods_have_the_name_of_what_learns_in_numbers_and_page(tmp_path: Path) -> None:
+    words = [*("conditions", "orchard", "--arms", 1, "--sessions", 2, "--poses", 10, "--residual", "gp")]
+    call(*words, "--weather", 0, "--hours", 0, "--out", tmp_path)
+    methods = json.loads((tmp_path / "conditions.json").read_text())["sweeps"][HELD_OUT]["methods"]
+    assert list(methods)[3:] == ["Gaussian process told", "terms told", "terms and Gaussian process told"]
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for name in list(methods)[3:]:
+        assert f">{name}</" in page
+
+
 @pytest.mark.slow
 def test_the_command_writes_figure_page_and_numbers_that_agree(tmp_path: Path) -> None:
     run, file = tmp_path / "run", tmp_path / "conditions.json"
