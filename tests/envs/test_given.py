@@ -8,7 +8,7 @@ import pytest
 
 import pickenv  # noqa: F401, registers the environments
 from pickenv.base import InputError
-from pickenv.envs import HarvestEnv, HarvestVectorEnv, PickEnv, ReachEnv, ReachVectorEnv
+from pickenv.envs import HarvestEnv, HarvestVectorEnv, PickEnv, ReachEnv, ReachVectorEnv, make_task
 
 MAKERS = {
     "Reach": ReachEnv,
@@ -120,6 +120,32 @@ def test_an_argument_that_nothing_takes_is_named_with_the_one_like_it(make, name
         make(f"pickenv/{name}-v0", **{wrong: 1})
     with pytest.raises(InputError, match=f"^unknown argument 'qwertz'; known are .*{meant}"):
         make(f"pickenv/{name}-v0", qwertz=1)
+
+
+def test_an_argument_that_a_task_of_ones_own_requires_is_taken():
+    class Weighed(ReachEnv):
+        task_of = staticmethod(lambda weight, **others: make_task(tolerance_mm=weight, **others))
+
+    assert Weighed(weight=3.0, latency=1).task.tolerance_mm == 3.0
+    with pytest.raises(InputError, match="^unknown argument 'wieght'; perhaps weight is meant: known are .*weight"):
+        Weighed(weight=3.0, wieght=3.0)
+    with pytest.raises(InputError, match="^unknown argument 'task'; "):
+        ReachEnv(task="Pick")
+
+
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec], ids=["one", "vector"])
+@pytest.mark.parametrize("name", ["Reach", "ReachTool", "Pick", "PickScene"])
+@pytest.mark.parametrize("idle", [{"tolerances": "coarse"}, {"population": 8}, {"population_seed": 1}], ids=str)
+def test_what_draws_a_population_is_refused_where_there_is_none(make, name, idle):
+    (argument,) = idle
+    with pytest.raises(InputError, match=f"^{argument} has no effect on the plant's own arm; give arms="):
+        make(f"pickenv/{name}-v0", **idle)
+    make(f"pickenv/{name}-v0", arms="per_env", **idle).close()
+
+
+def test_one_arm_of_a_class_is_drawn_with_the_seed():
+    first, second = (ReachEnv(plant="coarse:ur5e", population_seed=seed).plant.geometry for seed in (1, 2))
+    assert not np.array_equal(first.a, second.a)
 
 
 def test_joints_and_arms_asked_for_are_numbers():

@@ -349,6 +349,12 @@ def make_task(
     check_count("population", population)
     check_limit("population", int(population), "population")
     check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
+    of_populations = {"tolerances": tolerances != "medium", "population": population != 256}
+    of_populations["population_seed"] = population_seed != 0 and class_of(plant) is None
+    if arms == "fixed" and (idle := [name for name in of_populations if of_populations[name]]):
+        raise InputError(
+            f"{idle[0]} has no effect on the plant's own arm; give arms='per_episode' or 'per_env' with it"
+        )
     true_arm = load_true_arm(plant, without, population_seed)
     if arms != "fixed":
         true_arm = draw_arms(plant, tolerances, population, np.random.default_rng(population_seed), without=without)
@@ -388,7 +394,7 @@ def refuse_unknown(env: Any, arguments: Iterable[str], *makers: Callable[..., An
     """
     takers = (*(vars(kind)["__init__"] for kind in type(env).__mro__ if "__init__" in vars(kind)), *makers)
     parameters = [parameter for taker in takers for parameter in signature(taker).parameters.values()]
-    taken = sorted({parameter.name for parameter in parameters if parameter.default is not parameter.empty})
+    taken = sorted({p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)} - OF_CLASSES)
     for name in arguments:
         if name not in taken:
             raise InputError(unknown("argument", name, taken))
@@ -396,6 +402,9 @@ def refuse_unknown(env: Any, arguments: Iterable[str], *makers: Callable[..., An
 
 OF_TASKS = (make_task, make_situation)
 """Functions that take the arguments of tasks of all arms."""
+
+OF_CLASSES = {"self", "task"}
+"""Parameters of classes and of the ladder that are no arguments of environments."""
 
 
 def checked_region(given: Any) -> tuple[Components, Components]:
