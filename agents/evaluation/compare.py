@@ -139,9 +139,6 @@ def compare(
             world = CompensationWrapper(world, contender.compensator, allow)
         policy = contender.make(world, seed_words(stream(seed, "policy", number), 1)[0])  # for its own random draws
         runs.append(run_episodes(world, policy, seeds, ran))
-        for episode in runs[-1]:
-            if missing := missing_positions(episode[0].info):
-                raise InputError(f"{env} cannot be compared: {missing}")
         world.close()
     longest = max(len(episode) for run in runs for episode in run)
     recorded = [
@@ -179,6 +176,8 @@ def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, fl
         raise InputError("a comparison has one time line; give one control_period_s, not a range")
     plant, (_, info) = getattr(inner, "plant", None), env.reset(seed=0)
     env.close()
+    if missing := missing_positions(info):
+        raise InputError(f"{env_id} cannot be compared: {missing}")
     features = {"gripper"} if hasattr(getattr(inner, "orchard", None), "gripper") else set()
     features |= {"field"} if plant is not None and "pose_error" in info else set()
     return plant, 1.0 / inner.metadata.get("render_fps", 10), features

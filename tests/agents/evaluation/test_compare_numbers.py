@@ -81,6 +81,14 @@ def test_a_comparison_of_an_environment_without_an_arm() -> None:
         compare(["random"], "tests/Late-v0", episodes=1, since=1)
 
 
+@pytest.mark.parametrize("policy", ["servo", "random"])
+def test_an_environment_without_positions_is_refused_before_a_policy_acts(policy: str) -> None:
+    told: list[tuple[str, int, int]] = []
+    with pytest.raises(InputError, match=r"^pickenv/Harvest-v0 cannot be compared: its info lacks 'tool_position'"):
+        compare([policy], "pickenv/Harvest-v0", episodes=1, progress=lambda *each: told.append(each))
+    assert not told
+
+
 def test_a_command_says_what_no_default_says() -> None:
     given = {"env": "e", "episodes": 3, "seed": 1, "gripper": "g", "grid_step": None, "compensate": [None, "x", 1j]}
     assert _command(["a", Path("b/c"), object()], given, ["l", "m"], {"camera_noise_mm": 2.0}) == (
