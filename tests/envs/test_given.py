@@ -143,6 +143,17 @@ def test_what_draws_a_population_is_refused_where_there_is_none(make, name, idle
     make(f"pickenv/{name}-v0", arms="per_env", **idle).close()
 
 
+@pytest.mark.parametrize("name", ["Reach", "ReachGoal", "ReachIdeal", "ReachScaled", "ReachTool", "Pick", "Harvest"])
+def test_every_native_vector_takes_the_executor_with_which_it_is_what_one_is_alone(name):
+    one = gym.make(f"pickenv/{name}-v0", executor="numpy")
+    several = gym.make_vec(f"pickenv/{name}-v0", num_envs=2, executor="numpy")
+    alone, together = one.reset(seed=4)[0], several.reset(seed=3)[0]
+    for key in alone if isinstance(alone, dict) else [...]:
+        np.testing.assert_array_equal(together[key][1], alone[key])
+    with pytest.raises(InputError, match="^executor is 'gpu'; give one of auto, "):
+        gym.make_vec(f"pickenv/{name}-v0", num_envs=2, executor="gpu")
+
+
 def test_one_arm_of_a_class_is_drawn_with_the_seed():
     first, second = (ReachEnv(plant="coarse:ur5e", population_seed=seed).plant.geometry for seed in (1, 2))
     assert not np.array_equal(first.a, second.a)

@@ -20,7 +20,7 @@ from pickenv.envs.shared.backends import Flags, Rows, Scalar, state_of_words, wo
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.native_vector import NativeVectorEnv, set_spaces
 from pickenv.envs.shared.simulation import ArmState, begin
-from pickenv.envs.shared.task import OF_TASKS, Compensators, Task, refuse_unknown
+from pickenv.envs.shared.task import OF_TASKS, Compensators, Task, check_choice, refuse_unknown
 from pickenv.pictures.stage import Stage
 
 
@@ -39,8 +39,9 @@ class PickVectorEnv(NativeVectorEnv):
         num_envs: N.
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: "NextStep", "SameStep" or "Disabled", or an `AutoresetMode`.
+        executor: "auto" or "numpy", which are the same here.
         render_mode: None or "rgb_array".
-        arguments: Those of `pickenv/Pick-v0`.
+        arguments: Other arguments of `pickenv/Pick-v0`.
 
     Example:
         >>> import gymnasium as gym
@@ -63,10 +64,12 @@ class PickVectorEnv(NativeVectorEnv):
         *,
         max_episode_steps: int | None = pick_scene.LONGEST,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        executor: str = "auto",
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
+        check_choice("executor", executor, ("auto", "numpy"))
         refuse_unknown(self, arguments, on_ladder, pick_scene.make_pick, *OF_TASKS)
         task, self.orchard = pick_scene.make_pick(**on_ladder("Pick", **arguments))
         self.task: Task = task
