@@ -127,9 +127,9 @@ def test_an_argument_that_a_task_of_ones_own_requires_is_taken():
         task_of = staticmethod(lambda weight, **others: make_task(tolerance_mm=weight, **others))
 
     assert Weighed(weight=3.0, latency=1).task.tolerance_mm == 3.0
-    with pytest.raises(InputError, match="^unknown argument 'wieght'; perhaps weight is meant: known are .*weight"):
+    with pytest.raises(InputError, match=r"^unknown argument 'wieght'; perhaps weight is meant: known are .*weight"):
         Weighed(weight=3.0, wieght=3.0)
-    with pytest.raises(InputError, match="^unknown argument 'task'; "):
+    with pytest.raises(InputError, match=r"^unknown argument 'task'; "):
         ReachEnv(task="Pick")
 
 
@@ -150,7 +150,7 @@ def test_every_native_vector_takes_the_executor_with_which_it_is_what_one_is_alo
     alone, together = one.reset(seed=4)[0], several.reset(seed=3)[0]
     for key in alone if isinstance(alone, dict) else [...]:
         np.testing.assert_array_equal(together[key][1], alone[key])
-    with pytest.raises(InputError, match="^executor is 'gpu'; give one of auto, "):
+    with pytest.raises(InputError, match=r"^executor is 'gpu'; give one of auto, "):
         gym.make_vec(f"pickenv/{name}-v0", num_envs=2, executor="gpu")
 
 
