@@ -425,6 +425,9 @@ RIGID = "not in the file, because rigid links cannot hold it"
 NOTHING = 1e-12
 """Change of an origin, m or rad, up to which its text in the file is not changed."""
 
+COUNTED = 1e-9
+"""Least shift of a joint origin, m, or turn, rad, that counts as a correction. Priors leave less where rows are silent."""
+
 
 @dataclass(frozen=True, eq=False)
 class Correction:
@@ -566,7 +569,8 @@ def moved_words(moves: Sequence[tuple[ChainJoint, Pose]], plain: Sequence[tuple[
         plain: The same for an arm without errors. These origins differ from the file's by its rounding alone.
     """
     pairs = [(joint, old, new) for (joint, new), (_, old) in zip(moves, plain, strict=True)]
-    sizes = {joint.name: apart(old, new) for joint, old, new in pairs if any(is_moved(old, new))}
+    apart_by = {joint.name: apart(old, new) for joint, old, new in pairs}
+    sizes = {name: size for name, size in apart_by.items() if max(size) > COUNTED}
     rounded = any(any(is_moved(joint.origin, new)) for joint, _, new in pairs if joint.name not in sizes)
     if not sizes:
         more = " by more than the file's rounding" if rounded else "; nothing is changed"

@@ -249,6 +249,15 @@ def test_origins_that_only_lose_the_files_rounding_count_as_they_were(digits, jo
         assert done.notes[0].endswith("the file's rounding") == (digits < 17)
 
 
+def test_an_origin_that_moves_by_less_than_a_nanometre_is_not_counted(made, tmp_path):
+    """A prior leaves such crumbs at the first joint, which a fitted base makes up for."""
+    arm, own = load_arm("ur5"), tmp_path / "own.urdf"
+    own.write_text(urdf_text(arm.nominal, "ur5"))
+    found = ArmModel.of(replace(arm.nominal, a=arm.nominal.a + [0.0, 2e-11, 1e-3, 0.0, 0.0, 0.0]))
+    done = export(replace(made(arm, np.random.default_rng(0)), model=found), tmp_path / "out.urdf", onto=own)
+    assert done.notes[0].startswith("1 of 6 joint origins corrected: by up to 1 mm ("), done.notes[0]
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=20)
 def test_what_was_written_is_the_same_arm_again(tmp_path_factory, made, seed):
