@@ -56,7 +56,8 @@ class CorrectedCommands:
         reasons: The reason why a target is not reached, by the index of the target, from 0.
         lines: Line of each target in its file, from 1.
         prismatic: For each joint, whether it is prismatic.
-        caution: The cautions of the calibration's verdict; None if there are none.
+        caution: The cautions of the calibration's verdict, and what a fitted base and tool leave open in the
+            controller's frame; None if there are none.
     """
 
     targets: Array
@@ -177,6 +178,14 @@ def apply_calibration(
             )
     compensator = calibration.compensator(conditions=conditions, fast=False)
     commands = toward(compensator, poses, wanted_joints)
+    cautions = [] if calibration.caution is None else [calibration.caution]
+    if frame == "controller" and calibration.record.get("frames") == "fitted":
+        interval = calibration.record.get("base_frame", {}).get("mean_ci95_mm")
+        size = f"{interval[0]:#.3g} to {interval[1]:#.3g} mm" if interval else "unknown"
+        cautions.append(
+            "base and tool were fitted, and errors and uncertainties hold from there; in the robot's own base frame "
+            f"the mean error is {size}"
+        )
     present = conditions or Conditions()
     for name in present.input_names():
         more = replace(present, **{name: getattr(present, name) + 1.0})
@@ -216,7 +225,7 @@ def apply_calibration(
         reasons=dict(sorted(reasons.items())),
         lines=targets.lines,
         prismatic=geometry.prismatic,
-        caution=calibration.caution,
+        caution="; ".join(cautions) or None,
     )
 
 

@@ -425,3 +425,17 @@ def test_targets_of_an_arm_of_five_joints_are_met_in_position_first():
     before = pose_error(wanted, forward(identified, joints))
     left, raw = (np.median(np.linalg.norm(part[:, :3], axis=1)) for part in (error, before))
     assert left < 0.1 * raw
+
+
+@pytest.mark.parametrize("interval", [[0.4, 2.75], None])
+def test_a_fitted_base_is_said_to_leave_the_controllers_frame_open(elsewhere, calibration, dynamic, interval):
+    """The uncertainty of some micrometres holds from the fitted base; that of the robot is not known so well."""
+    joints = inner_joints(dynamic.arm.nominal, 2, 0)
+    record = elsewhere.record | {"base_frame": {"mean_ci95_mm": interval}}
+    found = apply_calibration(replace(elsewhere, record=record), dynamic.arm, joint_targets(joints))
+    size = "unknown" if interval is None else "0.400 to 2.75 mm"
+    assert f"in the robot's own base frame the mean error is {size}" in found.report()
+    poses = pose_targets(forward(elsewhere.nominal, joints))
+    seen = apply_calibration(elsewhere, dynamic.arm, poses, frame="instrument")
+    known = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
+    assert "base frame" not in seen.report() + known.report()
