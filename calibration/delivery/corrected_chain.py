@@ -426,7 +426,7 @@ NOTHING = 1e-12
 """Change of an origin, m or rad, up to which its text in the file is not changed."""
 
 COUNTED = 1e-9
-"""Least shift of a joint origin, m, or turn, rad, that counts as a correction. Priors leave less where rows are silent."""
+"""Least shift or turn of a joint origin, m or rad, that counts. Priors move origins by less where rows are silent."""
 
 
 @dataclass(frozen=True, eq=False)

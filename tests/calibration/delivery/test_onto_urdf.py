@@ -253,7 +253,8 @@ def test_an_origin_that_moves_by_less_than_a_nanometre_is_not_counted(made, tmp_
     """A prior leaves such crumbs at the first joint, which a fitted base makes up for."""
     arm, own = load_arm("ur5"), tmp_path / "own.urdf"
     own.write_text(urdf_text(arm.nominal, "ur5"))
-    found = ArmModel.of(replace(arm.nominal, a=arm.nominal.a + [0.0, 2e-11, 1e-3, 0.0, 0.0, 0.0]))
+    longer = arm.nominal.a + np.array([0.0, 2e-11, 1e-3, 0.0, 0.0, 0.0])
+    found = ArmModel.of(replace(arm.nominal, a=longer))
     done = export(replace(made(arm, np.random.default_rng(0)), model=found), tmp_path / "out.urdf", onto=own)
     assert done.notes[0].startswith("1 of 6 joint origins corrected: by up to 1 mm ("), done.notes[0]
 
