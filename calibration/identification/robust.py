@@ -38,8 +38,7 @@ SPAN = 0.1
 """Least spread of positions, m, of which `MISFIT` is a share, so that few and close positions are not refused."""
 
 SUSPECT, BETTER = 0.02, 5.0
-"""Misfit, as `MISFIT`, above which other readings of the joints are tried. One must stay below it, and be better by the
-factor."""
+"""Misfit, as `MISFIT`, above which other readings are tried. One must be below it, and better by the factor."""
 
 GOOD = 0.05
 """A fit whose error is below this share of the spread needs no further starts."""
@@ -207,9 +206,8 @@ def refuse_another_arm(
             the unit is wrong.
 
     Raises:
-        InputError: If positions miss by more than `MISFIT` of their spread, where the spread counts as at least `SPAN`,
-            or attitudes by more than `MISFIT` rad. Also if the rows fit far better with two joints exchanged, or with
-            one that counts backwards.
+        InputError: If positions miss by more than `MISFIT` of their spread (at least `SPAN`), or attitudes by more than
+            `MISFIT` rad. Also if the rows fit far better with other joints or positions (`_other_reading`).
     """
     if len(measurements) < 3:
         return  # no spread to speak of; `identify` says how many poses are needed
@@ -218,8 +216,8 @@ def refuse_another_arm(
     if max(position * spread / max(spread, SPAN), turn) > SUSPECT:
         better, reading = _other_reading(nominal or geometry, measurements, nominal is None)
         if better < min(SUSPECT, (position + turn) / BETTER):
-            times = f"{(position + turn) / max(better, 1e-3):.0f} times better with {reading}"
-            raise InputError(f"{measurements.source}: {state} the arm fits {times}; correct the columns of the joints")
+            times = f"{(position + turn) / max(better, 1e-3):.0f} times"
+            raise InputError(f"{measurements.source}: {state} the arm fits {times} better with {reading}")
     if position * spread > MISFIT * max(spread, SPAN):
         whole = ArmModel.of(nominal or geometry).pose(measurements.joints, measurements.conditions)
         reach = float(np.linalg.norm(whole.position.std(axis=0)))
@@ -241,7 +239,7 @@ def refuse_another_arm(
 
 
 def _other_reading(arm: Geometry, data: Measurements, known: bool) -> tuple[float, str]:
-    """Return the least misfit (`misfit`, both parts) with two joints exchanged or one turned round, and which in words.
+    """Return the least misfit (`misfit`, both parts) of another reading of joints or positions, and which in words.
 
     ``known`` says whether the arm's base and tool are known; else each reading is judged with rough ones of its own.
     """
@@ -252,8 +250,13 @@ def _other_reading(arm: Geometry, data: Measurements, known: bool) -> tuple[floa
             joints = data.joints.copy()
             joints[:, [i, k]] = joints[:, [k, i]]
             readings[f"{names[i]} and {names[k]} exchanged"] = joints
-    rows = {words: replace(data, joints=joints) for words, joints in readings.items()}
-    return min((sum(misfit(arm if known else next(_starts(arm, row)), row)), words) for words, row in rows.items())
+    axes, turn, remedy = np.eye(3), data.rotation, "; correct the columns of the "
+    rows = [(words + remedy + "joints", replace(data, joints=joints)) for words, joints in readings.items()]
+    words = "positions mirrored (one axis turned round, or two exchanged)" + remedy + "positions"
+    for mirror in (*(axes - 2.0 * np.diag(axis) for axis in axes), *axes[[[1, 0, 2], [0, 2, 1], [2, 1, 0]]]):
+        for attitude in (turn,) if turn is None else (turn, mirror @ turn @ mirror):  # in its own axes, or mirrored too
+            rows.append((words, replace(data, position=data.position @ mirror, rotation=attitude)))
+    return min((sum(misfit(arm if known else next(_starts(arm, row)), row)), words) for words, row in rows)
 
 
 OUTLIER_SIGMA = 10.0

@@ -15,12 +15,21 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Array
+from pickenv.arm import Arm, Array, Geometry
 from pickenv.base import LEAST, InputError, mean_interval, versions
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
-from pickenv.calibration.identification.robust import MISFIT, SPAN, align, refuse_another_arm, rough_start
+from pickenv.calibration.identification.robust import (
+    BETTER,
+    MISFIT,
+    SPAN,
+    SUSPECT,
+    align,
+    misfit,
+    refuse_another_arm,
+    rough_start,
+)
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model
 from pickenv.calibration.model.measurements import Measurements
@@ -110,11 +119,29 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
     if data.poses is not None:
         if not known:
             return align(nominal, data.poses, frames_model(nominal))
-        refuse_another_arm(nominal, data.poses, "with base and tool taken as known")
+        try:
+            refuse_another_arm(nominal, data.poses, "with base and tool taken as known")
+        except InputError as fault:
+            _refuse_unregistered(nominal, data.poses, fault)
+            raise
         return None
     solution = identify(frames_model(nominal), ArmModel.of(rough_start(nominal, data)), [data], max_iterations=100)
     _refuse_misfit(solution, data)
     return solution
+
+
+def _refuse_unregistered(nominal: Geometry, poses: Measurements, fault: InputError) -> None:
+    """Raise an error that says so if rows that miss the arm with known base and tool fit it with fitted ones."""
+    before = sum(misfit(nominal, poses))
+    try:
+        after = sum(misfit(align(nominal, poses, frames_model(nominal)).geometry, poses))
+    except InputError:
+        return  # too few rows, or another arm in any frames
+    if after < min(SUSPECT, before / BETTER):
+        raise InputError(
+            f"{poses.source}: with base and tool taken as known the arm fits {before / max(after, 1e-3):.0f} times "
+            "worse than with fitted ones; give `frames='fitted'`, or correct base and tool in the arm's file"
+        ) from fault
 
 
 def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, model: PriorModel) -> Fit:

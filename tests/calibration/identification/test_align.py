@@ -99,6 +99,31 @@ def test_joints_that_were_exchanged_or_count_backwards_are_named(exact, spoil, s
         calibrate(arm, spoil(data), choices=Choices(frames="known" if known else "fitted"))
 
 
+MIRRORS = {"y turned round": np.diag([1.0, -1.0, 1.0]), "x and y exchanged": np.eye(3)[[1, 0, 2]]}
+
+
+@pytest.mark.parametrize("mirror", MIRRORS)
+@pytest.mark.parametrize("attitudes", ["none", "own", "mirrored"])
+def test_positions_of_a_left_handed_frame_are_named(exact, mirror, attitudes):
+    arm, turn = load_arm("ur5"), MIRRORS[mirror]
+    data = exact(replace(arm.nominal, base=placed(arm.nominal, 3).base), 40)
+    rotation = {"none": None, "own": data.rotation, "mirrored": turn @ data.rotation @ turn}[attitudes]
+    data = replace(data, position=data.position @ turn, rotation=rotation, source="tracker.csv")
+    with pytest.raises(InputError, match=r"better with positions mirrored .*; correct the columns of the positions$"):
+        calibrate(arm, data, choices=Choices(frames="fitted"))
+
+
+@pytest.mark.parametrize("positions", [False, True])
+def test_an_instrument_that_was_not_registered_is_told_to_fit_base_and_tool(exact, positions):
+    arm = load_arm("ur5")
+    data = replace(exact(replace(arm.nominal, base=placed(arm.nominal, 3).base), 40), source="tracker.csv")
+    data = data.positions_only() if positions else data
+    with pytest.raises(
+        InputError, match=r"^tracker\.csv: .* times worse than with fitted ones; give `frames='fitted'`"
+    ):
+        calibrate(arm, data, choices=Choices(frames="known"))
+
+
 @pytest.mark.parametrize("known_frames", [False, True])
 def test_another_attitude_convention_is_refused(qiao, exact, known_frames):
     data = exact(qiao.true, 80)
