@@ -425,7 +425,7 @@ RIGID = "not in the file, because rigid links cannot hold it"
 NOTHING = 1e-12
 """Change of an origin, m or rad, up to which its text in the file is not changed."""
 
-COUNTED = 1e-9
+COUNTED = 1e-7
 """Least shift or turn of a joint origin, m or rad, that counts. Priors move origins by less where rows are silent."""
 
 
