@@ -126,6 +126,10 @@ MANY_FAR = 0.05
 ANOTHER_ARM = 5.0
 """A station whose median residual is more than this many times that of the others probably measured another arm."""
 
+SIDE, MOVED = 8, 2.5
+"""Least count of rows before and after a move of the instrument, and least ratio of the RMS errors with one base and
+with two."""
+
 FEW = 4
 """Fewer held-out rows than this are listed one by one, and never taken for rows of another set-up."""
 
@@ -290,6 +294,44 @@ def said_of_stations(found: Identification, data: Observations) -> Said:
                 f"{part.source}: wherever base and tool may be, its rows miss by {usual[number] * scale:.3g} {unit} "
                 f"(median), the others by {others * scale:.2g} {unit}: it may be of another arm; calibrate it alone",
             )
+
+
+def said_of_moves(found: Identification, data: Observations) -> Said:
+    """Yield a caution for each file of poses or positions within which the instrument was moved.
+
+    From some row on, a second base then takes away most of the errors. It takes away half of those of a steady drift.
+    """
+    ends = np.cumsum([len(part.rows_of_misses) for part in data.parts])
+    misses = np.split(data.misses(found.arm_model, unknowns_of(found, data)), ends[:-1])
+    for part, missed in zip(data.parts, misses, strict=True):
+        origins = origins_of(part)
+        for file in np.unique(origins.file).tolist():
+            rows = np.flatnonzero(origins.file == file)
+            rows = rows[np.argsort(origins.line[rows], kind="stable")]
+            if part.poses is None or len(rows) < 2 * SIDE:
+                continue
+            places = part.poses.position[rows] - part.poses.position[rows].mean(axis=0)
+            turns = np.cross(places[:, None], np.eye(3)) / max(float(places.std()), 1e-6)
+            shifts = np.broadcast_to(np.eye(3), turns.shape)
+            terms = np.concatenate([shifts, turns, missed[rows, :3, None]], axis=2)
+            before = np.cumsum(terms.swapaxes(1, 2) @ terms, axis=0)
+            split = np.arange(SIDE, len(rows) - SIDE + 1)  # count of rows before the step
+            two = _beside_base(before[split - 1]) + _beside_base(before[-1] - before[split - 1])
+            first = int(np.argmin(two))
+            one, two = (np.sqrt(max(left, 0.0) / len(rows)) for left in (_beside_base(before[-1]), two[first]))
+            if one > MOVED * two and one > MOVED * part.poses.position_std:
+                yield (
+                    "caution",
+                    f"{origins.files[file]}: from row {origins.line[rows[split[first]]]} on its rows fit another base: "
+                    f"{two * 1e3:.2g} mm RMS remain with two bases, {one * 1e3:.2g} mm with one; the instrument was "
+                    "probably moved, so give the rows from there as a file of their own",
+                )
+
+
+def _beside_base(sums: Array) -> Array:
+    """Return sums of squares that no base removes; ``sums`` ``(..., 7, 7)`` are of its six columns and the errors."""
+    slope = np.linalg.pinv(sums[..., :6, :6], 1e-9, True) @ sums[..., :6, 6:]
+    return np.asarray(sums[..., 6, 6] - (sums[..., 6:, :6] @ slope)[..., 0, 0])
 
 
 def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observations, test: Observations) -> str:

@@ -655,6 +655,7 @@ def assess(
             *diagnosis.said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
             *diagnosis.said_of_files(left_out, (train, test)),
             *diagnosis.said_of_stations(bare.identification, train),
+            *diagnosis.said_of_moves(bare.identification, train),
             *instrument.said_of_instruments(model, bare.identification, train),
             *instrument.said_of_conditions(
                 fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train

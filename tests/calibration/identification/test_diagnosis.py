@@ -1,5 +1,6 @@
 """What is wrong with a whole data set is said in one sentence; what every kind of measurement calibrates to."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -363,3 +364,30 @@ def test_views_of_few_corners_or_of_corners_near_one_line_are_left_out_and_four_
     seen[1:3, 1:] = False
     with pytest.raises(InputError, match="1 of 5 views"):
         without_blind_views(views)
+
+
+@pytest.mark.parametrize("positions", [False, True])
+@pytest.mark.parametrize(("path", "line"), [("step", 41), ("turn", 45), ("still", None), ("drift", None)])
+def test_an_instrument_that_was_moved_within_the_file_is_said(exact, path, line, positions):
+    """A tripod that somebody knocks is no part of the arm, while a drift and a good file are no move."""
+    arm = load_arm("ur5e")
+    rng, names = np.random.default_rng(3), arm.nominal.parameter_names
+    data = exact(arm.nominal.displaced(2e-4 * rng.normal(size=len(names))), 80)
+    position = data.position + 5e-5 * rng.normal(size=(80, 3))
+    moved = (np.arange(80) >= (line or 0) - 1)[:, None]
+    position = {
+        "step": position + moved * [0.0, 0.003, 0.0],
+        "turn": np.where(moved, position @ rotation_matrix([0.0, 0.004, 0.003]).T, position),
+        "still": position,
+        "drift": position + np.linspace(0.0, 0.003, 80)[:, None] * [0.0, 1.0, 0.0],
+    }[path]
+    data = replace(data, position=position, position_std=5e-5, attitude_std=1e-2, source="knocked.csv")
+    data = data.positions_only() if positions else data
+    found = calibrate(arm, data, choices=PLAIN)
+    text = found.report()
+    if line is None:
+        assert "another base" not in text
+    else:
+        said = [int(row) for row in re.findall(r"knocked\.csv: from row (\d+) on its rows fit another base", text)]
+        assert said and abs(said[0] - line) <= 2  # a row next to the step may be held out
+        assert found.quality.grade == "with care"
