@@ -215,6 +215,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
             raise InputError(f"{where}: joint column '{name}' {fault}; our format has {ours}")
         joints.append(columns[0])
         units.append(unit)
+    _refuse_more_joints(header, expected, geometry, where)
     position_unit = "m" if "x_m" in header else "mm"
     has_rotation = any(column.startswith(("rx_", "ry_", "rz_")) for column in header)
     rotation_unit = "rad" if "rx_rad" in header else "deg"
@@ -236,6 +237,20 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
             description.PayloadTable(mass, "kg") if mass in header else None,
         ),
     )
+
+
+def _refuse_more_joints(header: Sequence[str], expected: Sequence[str], geometry: Geometry, where: str) -> None:
+    """Refuse joint columns beyond the arm's joints: of a mimic joint or a slide, they would number the others anew."""
+    stems = {name.rpartition("_")[0] for name in expected}
+    for column in header:
+        stem, _, unit = column.rpartition("_")
+        numbered = stem[:1] == "q" and stem[1:].isdecimal() and unit in description.LENGTHS + description.ANGLES
+        if numbered and stem not in stems:
+            raise InputError(
+                f"{where}: column '{shortened(column)}' is of none of the arm's joints, which are "
+                f"{listed(geometry.joint_names)} in this order; remove it (a mimic joint has no column), or number the "
+                "columns so"
+            )
 
 
 def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry:
@@ -436,6 +451,7 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
     values = table.values(tuple(columns) if as_joints else POSE_COLUMNS)
     lines = tuple(table.lines)
     if as_joints:
+        _refuse_more_joints(table.header, columns, geometry, table.where)
         return Targets(values * np.where(geometry.prismatic, 1e-3, np.radians(1.0)), None, lines, table.where)
     pose = Pose(values[:, :3] * 1e-3, rotation_matrix(np.radians(values[:, 3:])))
     return Targets(None, pose, lines, table.where)

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from pickenv import calibration
 from pickenv.arm import load_arm
 from pickenv.base import InputError, shipped_in
-from pickenv.calibration import Measurements, load_description, random_joints, read_measurements
+from pickenv.calibration import Measurements, load_description, random_joints, read_measurements, read_targets
 
 JOINTS = 'joints.columns = ["A1", "A2", "A3", "A4", "A5", "A6"]\njoints.unit = "deg"\n'
 HEADER = ["A1", "A2", "A3", "A4", "A5", "A6", "X", "Y", "Z"]
@@ -306,3 +306,15 @@ def test_the_file_is_comma_separated_text_like_any_other(tmp_path, ur5, table):
         csv.writer(file, quoting=csv.QUOTE_ALL).writerows([HEADER, *table.tolist()])
     (tmp_path / "mine.toml").write_text(GOOD, encoding="utf-8")
     check(read_measurements(path, ur5, tmp_path / "mine.toml"), table)
+
+
+@pytest.mark.parametrize("column", ["q0_deg", "q7_deg", "q7_mm"])
+def test_a_joint_column_beyond_the_arms_joints_is_refused(tmp_path, column):
+    """A slide before the arm, or a mimic joint in the log, would number the other joints anew."""
+    arm, rng = load_arm("ur5").nominal, np.random.default_rng(0)
+    header = [*(f"q{i}_deg" for i in range(1, 7)), "x_mm", "y_mm", "z_mm", column]
+    file = tmp_path / "log.csv"
+    file.write_text("\n".join([",".join(header), *(",".join(map(str, row)) for row in rng.normal(size=(9, 10)))]))
+    for read in (read_measurements, read_targets):
+        with pytest.raises(InputError, match=rf"log\.csv: column '{column}' is of none of the arm's joints"):
+            read(file, arm)
