@@ -284,7 +284,7 @@ def load_arm(name: str | Path, whole: bool = False) -> Arm:
     path, _, tip = str(name).partition("#")
     if "," in tip and not whole:
         raise InputError(f"{name} names several links, as `calibrate` takes a whole robot; name one here")
-    ending = Path(path).suffix[1:]
+    ending = Path(path).suffix[1:].replace("xacro", "urdf")
     reader = registry.get("arm_format", ending) if ending in registry.names("arm_format") else load_toml
     arm: Arm = reader(path, tip or None)
     return arm

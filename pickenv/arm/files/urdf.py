@@ -194,6 +194,8 @@ def urdf_row(path: Path, tip: str | None = None) -> JointRow:
         InputError: If the file, a link or a joint is unusable; the message names it.
     """
     root = xml_root(path, ".urdf")
+    if "${" in ElementTree.tostring(root, "unicode") or any("wiki/xacro}" in part.tag for part in root.iter()):
+        raise InputError(f"{path} is a xacro that was not expanded; give the URDF that `xacro {path}` prints")
     with in_file(path):
         by_name, above = _unique([joint for joint in root.iter("joint") if joint.find("child") is not None])
         chain, last = _chain(above, tip)

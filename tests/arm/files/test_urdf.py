@@ -291,3 +291,18 @@ def test_half_turns_that_a_file_rounds_put_no_joint_kilometres_away(data_folder)
     q = rng.uniform(-1, 1, (50, geometry.joints))
     moved = np.linalg.norm(forward(apart, q).position - forward(geometry, q).position, axis=1)
     assert moved.max() < 0.02  # milliradians and millimetres move the tool by millimetres
+
+
+@pytest.mark.parametrize("name", ["arm.urdf", "arm.urdf.xacro"])
+@pytest.mark.parametrize("text", ['<xacro:property name="L" value="0.3"/>', '<link name="${prefix}spare"/>'])
+def test_a_xacro_that_was_not_expanded_is_named_as_such(tmp_path, name, text):
+    own = tmp_path / name
+    plain = urdf_text(load_arm("ur5").nominal, "ur5")
+    own.write_text(plain)
+    assert load_arm(own).nominal.joints == 6  # what xacro prints may keep its ending
+    head = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" '
+    own.write_text(plain.replace("<robot ", head, 1).replace("</robot>", f"{text}</robot>"))
+    with pytest.raises(
+        InputError, match=rf"is a xacro that was not expanded; give the URDF that `xacro .*{name}` prints"
+    ):
+        load_arm(own)
