@@ -164,7 +164,9 @@ def verify(
     data = pickenv.calibration.read_observations(files, old.arm, columns)
     verdict = verified(old, data, *frames_and_rows(refit, refit_rows))
     good = verdict.status == "still good" and verdict.reservation is None
-    arm = old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
+    shipped = old.arm_name in pickenv.arm.shipped_arms()
+    same = shipped and pickenv.load_arm(old.arm_name).fingerprint() == old.arm_fingerprint
+    arm = old.arm_name if same else "ARM"
     if old.arm.tree is not None:
         arm = f"ROBOT.urdf#{','.join(old.arm.tree.names)}"
     step = next_step(arm, calibration, not good)

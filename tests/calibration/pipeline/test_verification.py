@@ -602,3 +602,16 @@ def test_a_region_was_measured_where_rows_were_near(ur5: Arm, true: Geometry, fa
     unknown = replace(calibration, record={**calibration.record, MEASURED_REGION: None})
     found = verify(unknown, measured(true, drives, 2, far=far))
     assert found.measured is None and "not known" in found.text()
+
+
+@pytest.mark.parametrize("longer", [0.0, 0.05])
+def test_the_next_command_names_a_shipped_arm_only_if_it_is_this_one(tmp_path: Path, longer: float) -> None:
+    """A robot's own file often names its robot as the shipped arm, "ur5", with another tool or another link."""
+    shipped, rng = load_arm("ur5"), np.random.default_rng(0)
+    arm = replace(shipped, nominal=replace(shipped.nominal, a=shipped.nominal.a + longer * np.eye(6)[2]))
+    old, new = (random_joints(arm.nominal, n, rng) for n in (60, 30))
+    old, new = (Measurements(q, *forward(arm.nominal, q), arm.nominal.prismatic, frames="known") for q in (old, new))
+    saved = calibrate(arm, old, choices=Choices(terms="none", residual="none")).calibration.save(tmp_path / "a.npz")
+    new.write_csv(file := tmp_path / "new.csv")
+    said = CliRunner().invoke(app, ["verify", str(saved), str(file)]).output
+    assert f"--arm {'ARM' if longer else 'ur5'} " in said
