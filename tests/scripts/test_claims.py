@@ -136,7 +136,7 @@ class Begun(Exception):
     ("command", "place"),
     [
         ("pickenv bench policies", "pickenv.experiments.policy_tables.run_leaderboard"),
-        ("pickenv evaluate", "pickenv.experiments.policies.run_policies"),
+        ("pickenv evaluate", "pickenv.experiments.run_policies"),
     ],
 )
 def test_no_row_of_a_comparison_is_refused_at_its_cheap_size(command, place, claims, tmp_path, monkeypatch):
