@@ -108,7 +108,7 @@ def test_an_argument_of_another_kind_is_refused_in_a_sentence(name, arguments, s
         ("Reach", "tolerence_mm", "tolerance_mm"),
         ("ReachGoal", "latecy", "latency"),
         ("ReachIdeal", "max_tilt", "max_tilt_deg"),
-        ("ReachScaled", "dificulty", "difficulty"),
+        ("ReachScaled", "difficultee", "difficulty"),
         ("ReachTool", "tool_step", "tool_step_mm"),
         ("Harvest", "slave", "slaves"),
         ("PickScene", "leafs", "leaves"),
@@ -127,8 +127,8 @@ def test_an_argument_that_a_task_of_ones_own_requires_is_taken():
         task_of = staticmethod(lambda weight, **others: make_task(tolerance_mm=weight, **others))
 
     assert Weighed(weight=3.0, latency=1).task.tolerance_mm == 3.0
-    with pytest.raises(InputError, match=r"^unknown argument 'wieght'; perhaps weight is meant: known are .*weight"):
-        Weighed(weight=3.0, wieght=3.0)
+    with pytest.raises(InputError, match=r"^unknown argument 'weigt'; perhaps weight is meant: known are .*weight"):
+        Weighed(weight=3.0, weigt=3.0)
     with pytest.raises(InputError, match=r"^unknown argument 'task'; "):
         ReachEnv(task="Pick")
 
