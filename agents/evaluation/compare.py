@@ -118,11 +118,13 @@ def compare(
     if not policies:
         raise InputError("there is nothing to compare; give at least one policy")
     report = progress or (lambda stage, done, total: None)
-    plant, period, features = _arm_and_period(env, arguments)
+    plant, period, features, missing = _arm_and_period(env, arguments)
     if "gripper" in features:
         arguments = {**arguments, "gripper": gripper}
     if grid_step != GRID_STEP and "field" not in features:
         raise InputError(f"{env} is no reach of an arm for one fruit, so it has no error field; leave `grid_step` out")
+    if missing:
+        raise InputError(f"{env} cannot be compared: {missing}")
     noise = float(np.hypot(arguments.get("camera_noise_mm", 0.0), arguments.get("fruit_noise_mm") or 0.0))
     arm = None if plant is None else plant.arm
     contenders = contenders_of(policies, compensate, labels, arm=arm, camera_noise_mm=noise, allow=allow)
@@ -160,11 +162,11 @@ def compare(
     return PolicyComparison(Comparison(policies=tuple(recorded), grid=grid, **facts), command)
 
 
-def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, float, set[str]]:
+def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, float, set[str], str]:
     """Return the plant (the true arm) of an environment or None, its control period, s, and what it allows.
 
     The third value may contain "gripper", if the environment judges grasps by its own gripper, and "field", if errors
-    can be mapped over a grid of goals.
+    can be mapped over a grid of goals. The fourth is that of `missing_positions`.
     """
     env = _made(env_id, arguments)
     inner: Any = env.unwrapped
@@ -176,11 +178,9 @@ def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, fl
         raise InputError("a comparison has one time line; give one control_period_s, not a range")
     plant, (_, info) = getattr(inner, "plant", None), env.reset(seed=0)
     env.close()
-    if missing := missing_positions(info):
-        raise InputError(f"{env_id} cannot be compared: {missing}")
     features = {"gripper"} if hasattr(getattr(inner, "orchard", None), "gripper") else set()
     features |= {"field"} if plant is not None and "pose_error" in info else set()
-    return plant, 1.0 / inner.metadata.get("render_fps", 10), features
+    return plant, 1.0 / inner.metadata.get("render_fps", 10), features, missing_positions(info)
 
 
 def _made(env_id: str, arguments: Arguments) -> gym.Env[Any, Any]:
