@@ -50,9 +50,10 @@ TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / 
 WORDS, ADDED, PLANTS = (TEXTS[table] for table in ("names", "added", "plants"))
 SPELLED = {**ADDED, **WORDS}
 SHORT = re.compile(
-    rf"(?<![\w./+-])(?:\w+(?= ?\+ ?(?:{'|'.join(SPELLED)})\b)|^(?:{'|'.join(ADDED)})(?! [a-z])|{'|'.join(WORDS)})"
-    r"(?: ?\+ ?[A-Za-z]\w*)*(?![\w/+-]|\.\w)"
+    rf"(?<![\w./+-])(?:geometry(?=\+)|\w+(?: ?\+ ?\w+)*?(?= ?\+ ?(?:{'|'.join(SPELLED)})\b)|"
+    rf"^(?:{'|'.join(ADDED)})(?! [a-z])|{'|'.join(WORDS)})(?: ?\+ ?[A-Za-z]\w*)*(?![\w/+-]|\.\w)"
 )
+"""A short name that stands alone, or is a part of a chain of names with plus signs; not a part of a file's name."""
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
 """Keys of policies in the order in which figures and recordings list them. All other policies follow."""
 

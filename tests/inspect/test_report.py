@@ -320,6 +320,20 @@ def test_names_of_files_are_not_spelled_out(name: str) -> None:
     assert in_words("LS. csv of LS+BPNN.") == "least squares. csv of least squares + neural network."
 
 
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        ("geometry+gravity", "geometry + gravity"),
+        ("geometry+gravity+periodic", "geometry + gravity + drive harmonics"),
+        ("geometry+gravity+bpnn", "geometry + gravity + neural network"),
+        ("LS+BPNN", "least squares + neural network"),
+    ],
+)
+def test_a_model_of_several_parts_is_spelled_part_by_part(model: str, words: str) -> None:
+    """With spaces, at which figures break the line."""
+    assert in_words(model) == words and in_words(f"{model} (60)") == f"{words} (60)"
+
+
 def report(section: Section) -> str:
     return html_of("title", "", PageVerdict("note", "", ""), [section], {})
 
