@@ -7,7 +7,7 @@
 torch and stable-baselines3 are imported only when a name that needs them is first used.
 """
 
-from pickenv.base.faces import offered as _offered
+from pickenv.base.extras import offered as _offered
 
 __getattr__, __dir__, __all__ = _offered("pickenv.agents", __file__)
 

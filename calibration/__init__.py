@@ -5,7 +5,7 @@ parameters leave. The package works without Gymnasium and imports only `pickenv.
 network is trained.
 """
 
-from pickenv.base.faces import offered as _offered
+from pickenv.base.extras import offered as _offered
 
 __getattr__, __dir__, __all__ = _offered("pickenv.calibration", __file__)
 

@@ -14,7 +14,7 @@ from importlib import metadata as _metadata
 import gymnasium as _gymnasium
 
 from pickenv.base import InputError as InputError
-from pickenv.base.faces import offered as _offered
+from pickenv.base.extras import offered as _offered
 
 __getattr__, __dir__, __all__ = _offered("pickenv", __file__)
 

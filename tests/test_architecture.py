@@ -442,7 +442,6 @@ def test_the_doorstep_loads_no_room() -> None:
         "pickenv.base",
         "pickenv.base.errors",
         "pickenv.base.extras",
-        "pickenv.base.faces",
     }
     assert "scipy" not in {module.partition(".")[0] for module in loaded_by("pickenv")}
 

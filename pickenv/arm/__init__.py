@@ -1,5 +1,5 @@
 """Arms: geometry, kinematics, Jacobians, rank-aware inverse kinematics, and the plant (the simulated true arm)."""
 
-from pickenv.base.faces import offered as _offered
+from pickenv.base.extras import offered as _offered
 
 __getattr__, __dir__, __all__ = _offered("pickenv.arm", __file__)

@@ -1,6 +1,6 @@
-"""Optional dependencies (extras): the modules that they bring, and the command that installs them.
+"""Optional dependencies (extras), and lazy imports, so that a module that needs one is imported when first used.
 
-The core calibrates, compensates and makes environments. All heavier dependencies are extras, imported when first used.
+The core calibrates, compensates and makes environments. All heavier dependencies are extras.
 `pip install 'pickenv[learn]'` adds networks to an installed pickenv, wherever it came from. `pickenv[all]` adds
 everything.
 """
@@ -8,8 +8,11 @@ everything.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
+from typing import Any
+
+import lazy_loader
 
 from pickenv.base.errors import InputError
 
@@ -68,3 +71,25 @@ def require(*modules: str) -> None:
 def is_there(module: str) -> bool:
     """Return whether a module can be imported, without importing it."""
     return sys.modules[module] is not None if module in sys.modules else find_spec(module) is not None
+
+
+def offered(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` for a package that lazily exports what its stub imports.
+
+    Using a name raises `MissingExtra` if its module needs an extra (optional package) that is not installed.
+
+    Args:
+        package: Name of the package.
+        file: Path of the package's ``__init__.py``. The stub, ``__init__.pyi``, is in the same folder.
+    """
+    load, directory, names = lazy_loader.attach_stub(package, file)
+
+    def attribute(name: str) -> Any:
+        try:
+            return load(name)
+        except ModuleNotFoundError as error:
+            if error.name is None or extra_of(error.name) is None:
+                raise
+            raise missing(error.name) from error
+
+    return attribute, directory, names

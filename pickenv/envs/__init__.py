@@ -1,5 +1,5 @@
 """Gymnasium environments, which `import pickenv` registers."""
 
-from pickenv.base.faces import offered as _offered
+from pickenv.base.extras import offered as _offered
 
 __getattr__, __dir__, __all__ = _offered("pickenv.envs", __file__)

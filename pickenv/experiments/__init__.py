@@ -15,6 +15,6 @@ is the share of arms within specification:
     write_outputs("runs/study")                                               # figures, report.html, arms.rrd
 """
 
-from pickenv.base.faces import offered as _offered
+from pickenv.base.extras import offered as _offered
 
 __getattr__, __dir__, __all__ = _offered("pickenv.experiments", __file__)

@@ -8,6 +8,6 @@
 rerun and matplotlib are imported when a function that needs them is first used.
 """
 
-from pickenv.base.faces import offered as _offered
+from pickenv.base.extras import offered as _offered
 
 __getattr__, __dir__, __all__ = _offered("pickenv.inspect", __file__)

@@ -8,6 +8,6 @@ SB3 is Stable-Baselines3. For example:
 stable-baselines3 is imported only when `make_sb3_vec` or `Sb3Vec` is first used.
 """
 
-from pickenv.base.faces import offered as _offered
+from pickenv.base.extras import offered as _offered
 
 __getattr__, __dir__, __all__ = _offered("pickenv.wrappers", __file__)
