@@ -6,16 +6,22 @@ from .demonstrations.data_sets import (
     recorded_episode as recorded_episode,
 )
 from .evaluation.compare import PolicyComparison as PolicyComparison, compare as compare
-from .evaluation.contenders import maker_of as maker_of
-from .evaluation.reaches import (
+from .evaluation.contenders import (
     Reaches as Reaches,
     Rollout as Rollout,
     episode_seeds as episode_seeds,
+    maker_of as maker_of,
     pick_canopies as pick_canopies,
     roll_out as roll_out,
     run_reaches as run_reaches,
 )
-from .policies.adaptive import AdaptiveReach as AdaptiveReach, FeelingPick as FeelingPick
+from .policies.adaptive import (
+    AdaptiveReach as AdaptiveReach,
+    FeelingPick as FeelingPick,
+    RememberingPolicy as RememberingPolicy,
+    RememberingReach as RememberingReach,
+    load_remembering as load_remembering,
+)
 from .policies.foreign import foreign_policy as foreign_policy
 from .policies.learned import (
     BASELINES as BASELINES,
@@ -24,11 +30,6 @@ from .policies.learned import (
     shipped_baselines as shipped_baselines,
 )
 from .policies.policy import Policy as Policy, read_observation as read_observation
-from .policies.remembering import (
-    RememberingPolicy as RememberingPolicy,
-    RememberingReach as RememberingReach,
-    load_remembering as load_remembering,
-)
 from .policies.scripted import (
     HASTY as HASTY,
     OraclePick as OraclePick,
@@ -42,8 +43,12 @@ from .policies.scripted import (
     ServoReach as ServoReach,
     ServoScene as ServoScene,
 )
-from .training.checkpoints import read_checkpoint as read_checkpoint
-from .training.training import Trained as Trained, resumed as resumed, train as train
+from .training.training import (
+    Trained as Trained,
+    read_checkpoint as read_checkpoint,
+    resumed as resumed,
+    train as train,
+)
 from .training.training_setup import (
     HELD_OUT as HELD_OUT,
     Training as Training,

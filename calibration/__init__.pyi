@@ -1,4 +1,4 @@
-from .assessment.metrics import (
+from .assessment.screen import (
     ErrorStatistics as ErrorStatistics,
     error_statistics as error_statistics,
     held_out_r2 as held_out_r2,
@@ -16,10 +16,6 @@ from .delivery.document import Document as Document, Order as Order, provenance 
 from .delivery.export import export as export
 from .delivery.joint_offsets import joint_offsets as joint_offsets
 from .identification.diagnosis import checked_rows as checked_rows
-from .identification.extended_kalman_filter import (
-    random_walk as random_walk,
-    start_filter as start_filter,
-)
 from .identification.least_squares import (
     Identifiability as Identifiability,
     Identification as Identification,
@@ -28,6 +24,10 @@ from .identification.least_squares import (
     identify_converged as identify_converged,
 )
 from .identification.robust import align as align
+from .identification.solve import (
+    random_walk as random_walk,
+    start_filter as start_filter,
+)
 from .identification.term_choice import (
     harmonics_of as harmonics_of,
     identify_terms as identify_terms,
@@ -56,6 +56,7 @@ from .model.measurements import (
     random_joints as random_joints,
     simulated_tracker as simulated_tracker,
 )
+from .model.noise_and_priors import prior_model as prior_model
 from .model.observations import (
     Clocks as Clocks,
     Observations as Observations,
@@ -64,7 +65,6 @@ from .model.observations import (
     same_poses as same_poses,
 )
 from .model.pixels import Lens as Lens, PixelObservations as PixelObservations, projected as projected
-from .model.prior import prior_model as prior_model
 from .model.terms import (
     BendingTerm as BendingTerm,
     ComplianceTerm as ComplianceTerm,
@@ -107,6 +107,10 @@ from .reading.read import (
     read_targets as read_targets,
 )
 from .residuals.bpnn import Bpnn as Bpnn, BpnnSettings as BpnnSettings, train_bpnn as train_bpnn
-from .residuals.gate import GateVerdict as GateVerdict, gate_residuals as gate_residuals
 from .residuals.gaussian_process import Fitter as Fitter
-from .residuals.residual_models import LearntResidual as LearntResidual, fit_residual as fit_residual
+from .residuals.residual_models import (
+    GateVerdict as GateVerdict,
+    LearntResidual as LearntResidual,
+    fit_residual as fit_residual,
+    gate_residuals as gate_residuals,
+)

@@ -13,9 +13,8 @@ from typing import Any
 
 from pickenv.base import versions, write_text
 from pickenv.commands.showing import print_table
-from pickenv.inspect.colours import as_sentence
+from pickenv.inspect.colours import as_sentence, named_values
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, Part, Section, html_of
-from pickenv.inspect.runs.number_words import named_values
 
 REPRODUCED, NOT, FITTED = "reproduced", "not reproduced", "fitted"
 KINDS = ("tables", "equations", "claims", "figures", "experiments")

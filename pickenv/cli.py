@@ -13,9 +13,9 @@ from typer import Option
 
 import pickenv
 from pickenv.base import absent_extras, command_for, command_line, folded, locked, screen_width
-from pickenv.commands import check, comparing, corrections, experiments, inspection, learning, plants, showing
-from pickenv.commands.bench import bench
-from pickenv.commands.calibrate import calibrate
+from pickenv.commands import check, comparing, corrections, experiments, learning, plants, showing
+from pickenv.commands.corrections import calibrate
+from pickenv.commands.experiments import bench
 from pickenv.commands.guard import INTERRUPTED, guarded
 
 app = typer.Typer(
@@ -87,9 +87,8 @@ DETAILS = ("RMS (mm)", "p95 (mm)", "floor (deg)")
 
 
 def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
-    from pickenv.calibration.assessment.metrics import LEAST_ROWS
-    from pickenv.inspect.colours import policy_label
-    from pickenv.inspect.runs.number_words import between, percent
+    from pickenv.calibration.assessment.screen import LEAST_ROWS
+    from pickenv.inspect.colours import between, percent, policy_label
 
     identifiability = summary["identifiability"]
     table = []
@@ -129,7 +128,7 @@ def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
 
 
 def _print_gains(blocked: dict[str, Any]) -> None:
-    from pickenv.inspect.runs.number_words import between
+    from pickenv.inspect.colours import between
 
     rows = []
     for kind in ("simulated", "measured"):
@@ -173,7 +172,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         experiments.study,
         experiments.experiment,
     ),
-    "Look at what came out": (inspection.inspect, comparing.film, inspection.figures, inspection.report),
+    "Look at what came out": (comparing.inspect, comparing.film, comparing.figures, comparing.report),
 }
 """Commands by their purpose, in the order in which `pickenv --help` shows them."""
 

@@ -33,10 +33,10 @@ from pickenv.experiments.engine import Progress
 from pickenv.experiments.gains import FIELD, ROWS, BlockedGain, blocked_gains, grid_joints, measured_gains, random_sets
 from pickenv.inspect import Comparison, Run
 from pickenv.inspect.colours import policy_label
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.matters import Change, gripped, matters, pick_changes
+from pickenv.inspect.runs.comparison_summary import Change, gripped, matters, pick_changes
 from pickenv.inspect.runs.recorded_episodes import ended, field_grid
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, recorded_run, save_part
+from pickenv.inspect.runs.traces import CalibrationTrace, trace_of
 from pickenv.orchard import misalignment
 from pickenv.wrappers import CompensationWrapper
 

@@ -29,7 +29,7 @@ import typer
 from pickenv.base import InputError, listed, share_interval, toml_of, write_json, write_text
 from pickenv.experiments import load_experiment, run
 from pickenv.experiments.experiment_file import RESERVED, plain_estimates
-from pickenv.inspect.runs.number_words import said
+from pickenv.inspect.colours import said
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from pickenv.arm import PLANTS
 from pickenv.base import InputError, write_container, write_text
 from pickenv.cli import app
-from pickenv.commands import inspection, plants
+from pickenv.commands import comparing, plants
 from pickenv.commands.showing import deliver
 from pickenv.inspect import read_run, recorded_run
 
@@ -68,7 +68,7 @@ def test_a_figure_that_is_a_link_to_the_numbers_is_not_drawn(tmp_path, monkeypat
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "accuracy.svg").symlink_to(numbers)
     with pytest.raises(InputError, match=r"--out would write over .*accuracy\.svg, which RUN reads"):
-        inspection.figures(tmp_path, formats="svg")
+        comparing.figures(tmp_path, formats="svg")
     assert numbers.read_text() == "kept"
 
 

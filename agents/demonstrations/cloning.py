@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pickenv.agents.policies.policy import ReachController
 from pickenv.arm import Array, Geometry, content_sha256, forward, joint_jacobian, truncated_inverse
 from pickenv.base import InputError, check_limit, npz_path, read_container, refusing_damage, require, write_container
-from pickenv.base.texts import Progress
+from pickenv.base.files import Progress
 from pickenv.envs import check_count
 
 require("torch")

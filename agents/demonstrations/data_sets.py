@@ -29,7 +29,7 @@ from pickenv.agents.policies.policy import Policy
 from pickenv.agents.policies.scripted import HASTY, RandomReach, ScriptedPick, ScriptedScene, ServoScene
 from pickenv.arm import LINK_PARAMETERS
 from pickenv.base import InputError, check_limit, file_sha256, locked, require, seed_words, stream, versions, write_json
-from pickenv.base.texts import Progress
+from pickenv.base.files import Progress
 from pickenv.envs import check_choice, check_count
 
 SCENE = "pickenv/PickScene-v0"

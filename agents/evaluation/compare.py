@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pickenv  # noqa: F401  (registers the environments)
-from pickenv.agents.evaluation.contenders import Contender, Given, contenders_of
-from pickenv.agents.evaluation.reaches import Moment, episode_seeds, run_episodes
+from pickenv.agents.evaluation.contenders import Contender, Given, Moment, contenders_of, episode_seeds, run_episodes
 from pickenv.agents.policies.policy import attitude_after
 from pickenv.arm import Array, Plant, Pose
 from pickenv.base import InputError, Progress, check_limit, command_line, seed_words, stream, write_json, write_text

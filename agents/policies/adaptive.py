@@ -1,24 +1,35 @@
-"""Policies that calibrate the arm while they pick: a Kalman filter per arm learns from each pick.
+"""Policies that learn an arm's errors while they pick: by a Kalman filter per arm, or by a memory of past picks.
 
-In `pickenv/Reach-v0` such a policy drives open loop to joint targets, corrected by its own estimate of the arm. Once
-the arm stands still at a fruit, the policy averages the camera's measurements. When the next episode begins, each arm's
-filter takes this average as one measurement of the tool's position. In `pickenv/Pick-v0` every fruit that the gripper
-took gives one measurement.
+In `pickenv/Reach-v0` a policy with a filter drives open loop to joint targets, corrected by its own estimate of the
+arm. Once the arm stands still at a fruit, the policy averages the camera's measurements. When the next episode begins,
+each arm's filter takes this average as one measurement of the tool's position. In `pickenv/Pick-v0` every fruit that
+the gripper took gives one measurement.
+
+Policies with a memory are trained on `pickenv.wrappers.SameArm`. Before each pick they choose an offset from the fruit,
+at which the arm then aims. A recurrent policy (LSTM) observes the last pick and keeps a state. A policy with a window
+observes the last picks and weighs them by attention, depending on how near they were. Both are stored as a few matrices
+in one file with a checksum, and run by NumPy. Nothing in the file is executed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pickenv.agents.policies.learned import REMAKE, Actor, actor_parts, policy_path, read_actor
 from pickenv.agents.policies.policy import Policy, camera_of, read_observation
 from pickenv.agents.policies.scripted import AT, ScriptedPick, ScriptedReach
-from pickenv.arm import Array, MeasurementNoise
-from pickenv.base import InputError, register
+from pickenv.arm import Arm, Array, MeasurementNoise, forward
+from pickenv.base import InputError, read_container, register
 from pickenv.calibration import aimed, link_model, random_joints
-from pickenv.calibration.identification import extended_kalman_filter
+from pickenv.calibration.identification import solve
+from pickenv.wrappers import PickMemory
+from pickenv.wrappers.same_arm import scaled_joints
 
 CALIBRATED_PRIOR = 0.2
 """Prior standard deviation of the parameters' errors after a calibration, as a share of their tolerances."""
@@ -123,10 +134,10 @@ class AdaptiveReach(LookingReach):
         super().__init__(env)
         self.camera_std, self.unmodelled_std, self.prior = camera_std, unmodelled_std, prior
         typical = random_joints(self.geometry, 200, np.random.default_rng(0))  # decides only what is identifiable
-        self.start: extended_kalman_filter.FilterState = extended_kalman_filter.start_filter(
+        self.start: solve.FilterState = solve.start_filter(
             link_model(self.geometry), self.geometry, typical, full_pose=False, prior=prior
         )
-        self.filters: list[extended_kalman_filter.FilterState] = []
+        self.filters: list[solve.FilterState] = []
 
     def meet(self, arms: int) -> None:
         """Start ``arms`` filters from the nominal arm, unless there are that many already."""
@@ -142,7 +153,7 @@ class AdaptiveReach(LookingReach):
         for i, at, tool, count in zip(rows, joints, seen, looks, strict=True):
             # The fruit is seen once per episode, the gap in every picture.
             std = float(np.sqrt(self.camera_std**2 * (1.0 + 1.0 / int(count)) + self.unmodelled_std**2))
-            self.filters[i] = extended_kalman_filter.update(self.filters[i], at, tool, MeasurementNoise(std, 0.0))
+            self.filters[i] = solve.update(self.filters[i], at, tool, MeasurementNoise(std, 0.0))
 
 
 class FeelingPick(ScriptedPick):
@@ -205,3 +216,192 @@ def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation:
 
 
 vars(adaptive).update(feedback=("camera",), sequential=True)
+
+
+REMEMBERING, REMEMBERING_FORMAT = "policy with a memory", 1
+
+HEADS = 4
+"""Number of attention heads; each weighs the picks of a window in its own way."""
+
+STEEPEST = 20.0
+"""Largest absolute value of an attention logit, the logarithm of an unnormalised weight."""
+
+LSTM = ("input", "input_bias", "state", "state_bias")
+WINDOW = ("near", "near_bias", "query", "key", "value", "value_bias")
+"""`LSTM` and `WINDOW` are the names of the arrays of the two kinds of memory, with the layers next to the inputs
+first."""
+
+State = tuple[Array, Array]
+"""State of a recurrent policy: its hidden output and its cell state, ``(N, units)`` each."""
+
+
+def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -> Any:
+    """Compute the attention features of a window of past picks for the next pick, on NumPy or torch.
+
+    Args:
+        xp: The module numpy or torch.
+        given: Weight arrays by the names in `WINDOW`.
+        memory: Layout of the observations: the window of past picks and the next pick.
+        seen: Observations ``(N, inputs)``.
+
+    Returns:
+        Features ``(N, features)``, joined from three parts. The first part is the scaled joints of the next pick. The
+        second part is each head's weighted means of past errors and learnt features. The third part is the filled share
+        of the window.
+    """
+    n, window = memory.joints, memory.window
+    goal = seen[:, :n]
+    tokens = seen[:, n:].reshape(-1, window, memory.token)
+    joints, error, filled = tokens[..., :n], tokens[..., n : n + 3], tokens[..., n + 3]
+    near = xp.tanh(joints @ given["near"] + given["near_bias"])
+    key = (near @ given["key"]).reshape(-1, window, HEADS, given["key"].shape[1] // HEADS)
+    question = xp.tanh(goal @ given["near"] + given["near_bias"])
+    query = (question @ given["query"]).reshape(-1, 1, HEADS, key.shape[-1])
+    weights = xp.exp(xp.clip((key * query).sum(-1), -STEEPEST, STEEPEST)) * filled[..., None]
+    weights = weights / (weights.sum(1)[:, None] + 1e-12)
+    features = xp.tanh(xp.concatenate((near, error), -1) @ given["value"] + given["value_bias"])
+    value = xp.concatenate((error, features), -1)
+    pooled = (weights[..., None] * value[:, :, None]).sum(1)
+    return xp.concatenate((goal, pooled.reshape(len(seen), -1), filled.sum(1)[:, None] / window), -1)
+
+
+def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
+    """Return an LSTM's next state (Hochreiter and Schmidhuber 1997).
+
+    The gates are in torch's order: input, forget, cell, output.
+
+    Args:
+        given: Weight arrays by the names in `LSTM`.
+        seen: Observations ``(N, inputs)``.
+        state: Present state.
+    """
+    out, cell = state
+    gates = seen @ given["input"] + given["input_bias"] + out @ given["state"] + given["state_bias"]
+    take, keep, new, give = np.split(gates, 4, axis=-1)
+    take, keep, give = (1.0 / (1.0 + np.exp(-part)) for part in (take, keep, give))
+    cell = keep * cell + take * np.tanh(new)
+    return give * np.tanh(cell), cell
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RememberingPolicy(Actor):
+    """Trained actor that remembers past picks and acts deterministically.
+
+    An LSTM or attention reads the observations, and the network layers of `Actor` read the result.
+
+    Attributes:
+        memory: Layout of the observations: past picks and the next pick.
+        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`.
+    """
+
+    memory: PickMemory
+    arrays: Mapping[str, Array]
+
+    @property
+    def recurrent(self) -> bool:
+        """Whether the policy keeps a state (LSTM) rather than a window."""
+        return set(self.arrays) == set(LSTM)
+
+    def begin(self, rows: int) -> State:
+        """Return the state for a number ``rows`` of arms that have not picked yet; a policy with a window has none."""
+        units = len(self.arrays["state"]) if self.recurrent else 0
+        return np.zeros((rows, units)), np.zeros((rows, units))
+
+    def aim(self, seen: NDArray[Any], state: State) -> tuple[NDArray[np.float32], State]:
+        """Return where to aim beside the next fruit of N arms, and the new state of the policy.
+
+        The offsets from the fruit are actions of `pickenv.wrappers.SameArmVector`.
+
+        Args:
+            seen: Observations ``(N, inputs)`` of `SameArmVector`, one per arm.
+            state: State from `begin`, or the state returned at the last pick.
+
+        Raises:
+            InputError: If the observations have another length than those of the training.
+        """
+        if seen.shape[-1] != self.memory.inputs:
+            lengths = f"{self.memory.inputs} numbers, but was given {seen.shape[-1]}"
+            raise InputError(f"the policy reads {lengths}; use the window and the arm of its training")
+        values = np.asarray(seen, dtype=float)
+        if self.recurrent:
+            state = stepped(self.arrays, values, state)
+            layer = state[0]
+        else:
+            layer = attended(np, self.arrays, self.memory, values)
+        return self.through_layers(layer, "tanh").clip(-1.0, 1.0).astype(np.float32), state
+
+    def save(self, path: str | Path) -> Path:
+        """Write the policy to one file with a checksum; ``.npz`` is appended if missing."""
+        return self.write(path, REMEMBERING, REMEMBERING_FORMAT, {"memory": asdict(self.memory)}, self.arrays)
+
+
+def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPolicy:
+    """Load a shipped baseline or a policy file with a memory; nothing in it is executed.
+
+    Args:
+        name: Name of a shipped baseline, or path of a policy file (.npz).
+        arm: Arm for which the policy must have been trained; None to skip this check.
+
+    Raises:
+        InputError: If the file is missing, damaged, newer than this program, or of another arm.
+    """
+    return read_actor(name, arm, REMEMBERING, REMEMBERING_FORMAT, _policy_of)
+
+
+def remembers(name: str | Path) -> bool:
+    """Whether a shipped baseline or a policy file holds a policy with a memory.
+
+    Raises:
+        InputError: If there is no such baseline or file, or the file is damaged.
+    """
+    return read_container(policy_path(name), None, remake=REMAKE).kind == REMEMBERING
+
+
+class RememberingReach(LookingReach):
+    """Reach policy that aims the nominal arm beside the fruit, at an offset that a policy with a memory chooses.
+
+    With a compensator, the policy observes the errors that remain after compensation, although it was not trained on
+    such errors.
+    """
+
+    def __init__(self, env: Any, policy: RememberingPolicy) -> None:
+        """Read the nominal arm from ``env``; ``policy`` chooses the offsets."""
+        super().__init__(env)
+        self.policy = policy
+        self._tokens: NDArray[np.float32] = policy.memory.empty(0)
+        self._state = policy.begin(0)
+
+    def meet(self, arms: int) -> None:
+        """Make memories for ``arms`` arms that have not picked yet, unless there are that many already."""
+        if len(self._tokens) != arms:
+            self._tokens, self._state = self.policy.memory.empty(arms), self.policy.begin(arms)
+
+    def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
+        """Return joint targets ``(r, n)`` with the nominal tool beside its position at ``joints``.
+
+        The policy chooses the offset of each arm; see `LookingReach.corrected` for the arguments.
+        """
+        observations = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens[rows])
+        actions, state = self.policy.aim(observations, (self._state[0][rows], self._state[1][rows]))
+        self._state[0][rows], self._state[1][rows] = state
+        return self.policy.memory.aim(self.geometry, joints, actions)
+
+    def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
+        """Store one more pick of each arm; `LookingReach.learn` explains the arguments."""
+        error = seen - forward(self.geometry, joints).position
+        self._tokens = self._tokens.copy()
+        self._tokens[rows] = self.policy.memory.after(self._tokens[rows], scaled_joints(self.geometry, joints), error)
+
+
+def _policy_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> RememberingPolicy:
+    """Make the policy that a file's header and arrays describe; raise any type of exception if they describe none."""
+    kind = LSTM if "state" in arrays else WINDOW
+    if not all(np.isfinite(arrays[name]).all() for name in kind):
+        raise InputError("its memory holds numbers that are not finite")
+    policy = RememberingPolicy(
+        **actor_parts(header, arrays, len(arrays["weight0"]), 3, len(kind)),
+        memory=PickMemory(**header["memory"]),
+        arrays={name: arrays[name].astype(float) for name in kind},
+    )
+    policy.aim(np.zeros((1, policy.memory.inputs)), policy.begin(1))  # shapes that do not fit raise here
+    return policy

@@ -12,7 +12,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, ContinuousCriti
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 
-from pickenv.agents.policies.remembering import HEADS, attended
+from pickenv.agents.policies.adaptive import HEADS, attended
 from pickenv.wrappers import MOST_SEEN, PickMemory, Scaling, joined_observation
 
 # SAC and TQC policies that scale observations and actions inside their networks. The replay buffer therefore holds
@@ -123,7 +123,7 @@ class TqcPolicy(_ScaledNetworks, tqc.TQCPolicy):
 
 
 # PPO policy with attention over a window of past picks; training learns how to weigh the picks. It learns on
-# `pickenv.wrappers.SameArm` with a window. Its encoder is `pickenv.agents.policies.remembering.attended`, run by torch.
+# `pickenv.wrappers.SameArm` with a window. Its encoder is `pickenv.agents.policies.adaptive.attended`, run by torch.
 
 
 WIDTH, MADE = 32, 16

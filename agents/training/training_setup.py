@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.contenders import load_compensator
-from pickenv.agents.evaluation.reaches import FRUIT, pick_canopies
+from pickenv.agents.evaluation.contenders import FRUIT, load_compensator, pick_canopies
+from pickenv.agents.policies.adaptive import LSTM, RememberingPolicy
 from pickenv.agents.policies.learned import LearnedPolicy
-from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.arm.files.arm import content_sha256
 from pickenv.base import InputError, check_limit, file_sha256, is_there, npz_path, seed_words, shown, stream, versions
-from pickenv.base.limits import check_known
+from pickenv.base.errors import check_known
 from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachToolVectorEnv, ReachVectorEnv
 from pickenv.envs.shared.task import check_count
 from pickenv.wrappers import GapScalingVector, SameArmMixture, SameArmVector, Scaling, ToolSteppingVector, tool_steps_of

@@ -23,9 +23,9 @@ from pickenv.calibration.identification.robust import apart
 from pickenv.calibration.model import measurements
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, ErrorModel, frames_model
 from pickenv.calibration.model.kinds import DistanceObservations
+from pickenv.calibration.model.noise_and_priors import ANGLES, FRAMES, LENGTHS, TERMS, ZEROS, PriorModel
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES
-from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZEROS, PriorModel
 
 # What a calibration with fitted base and tool leaves open: the error in the robot's own base frame. An instrument
 # that stood anywhere cannot tell a base that lies elsewhere from links that shift or turn everything alike. The

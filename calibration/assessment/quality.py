@@ -20,8 +20,8 @@ from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.diagnosis import Weight
 from pickenv.calibration.identification.least_squares import Identification, observability
 from pickenv.calibration.model.arm_model import ArmModel, frames_model
+from pickenv.calibration.model.noise_and_priors import FRAMES
 from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spaced
-from pickenv.calibration.model.prior import FRAMES
 
 OPTIMISTIC = 1.5
 """Ratio of held-out errors to training errors above which the fit does not generalise to other poses."""

@@ -23,12 +23,29 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Arm, Array, Geometry, Pose, displace_pose, forward
 from pickenv.arm.effects.drives import MeasurementNoise
-from pickenv.arm.kinematics.backend import clipped, outside, possible, set_aside
-from pickenv.arm.kinematics.forward import Chain, Scalar, attach, chain_of, frames, split_joints, tool_frame
-from pickenv.arm.kinematics.pose_error import frame_error, small_rotation
-from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE, attitude_weight, jacobian_columns, truncated_inverse
+from pickenv.arm.kinematics.forward import (
+    Chain,
+    Scalar,
+    attach,
+    chain_of,
+    clipped,
+    frames,
+    outside,
+    possible,
+    set_aside,
+    split_joints,
+    tool_frame,
+)
+from pickenv.arm.kinematics.task_space import (
+    DIRECTION_TOLERANCE,
+    attitude_weight,
+    frame_error,
+    jacobian_columns,
+    small_rotation,
+    truncated_inverse,
+)
 from pickenv.base import InputError, require
-from pickenv.calibration.identification.extended_kalman_filter import FilterState, predict, random_walk, update
+from pickenv.calibration.identification.solve import FilterState, predict, random_walk, update
 
 # Minimum-norm solutions of J x = e with small singular values cut off, for thousands of small J at once. Does what
 # `pickenv.arm.kinematics.task_space.truncated_inverse` does, without one LAPACK call per pose: J^T J is factorised in

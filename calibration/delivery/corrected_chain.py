@@ -23,8 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
-from pickenv.arm.files.joint_chain import ChainJoint, JointRow, arm_of, geometry_of, links_of
-from pickenv.arm.files.xml_values import numbers_text
+from pickenv.arm.files.joint_chain import ChainJoint, JointRow, arm_of, geometry_of, links_of, numbers_text
 from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, chain_of, frames, pose_of
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import InputError, in_file, shortened

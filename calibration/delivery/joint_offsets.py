@@ -26,7 +26,7 @@ from scipy.stats import qmc
 from pickenv.arm import Array, Geometry, forward, joint_jacobian, parameter_jacobian, pose_error, rotation_vector
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, LINK_PARAMETERS
 from pickenv.base import InputError, decimal_number, listed, one_line, read_text, register, shortened
-from pickenv.base.texts import parsed
+from pickenv.base.files import parsed
 from pickenv.calibration.delivery import document
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.model.arm_model import frames_model

@@ -22,10 +22,9 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Arm, Geometry, Pose, draw_plants, identity_pose, load_tolerances, plant_at, rotation_vector
 from pickenv.arm.files.arm_file import UR_KEYS, UR_LINKS, ur_row
-from pickenv.arm.files.joint_chain import ChainJoint, link_origins
+from pickenv.arm.files.joint_chain import ChainJoint, link_origins, numbers_text, xml_numbers, xml_root
 from pickenv.arm.files.mjcf import ORIENTATIONS, MjcfValues, mjcf_row, mjcf_text
 from pickenv.arm.files.urdf import leading_links, roll_pitch_yaw, urdf_row, urdf_text
-from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import RAD, InputError, M, command_line, one_line, register, shortened
 from pickenv.calibration.delivery import corrected_chain, document

@@ -21,9 +21,8 @@ from pickenv.arm import FRAME_PARAMETERS, Array, Geometry
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.measurements import FRAME_TOLERANCES, Measurements, frame_columns, random_joints
-from pickenv.calibration.model.noise import RowNoise
+from pickenv.calibration.model.noise_and_priors import PriorModel, RowNoise
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.prior import PriorModel
 
 PROBES = 60
 """Number of random poses at which the rank of a kind of measurements is computed."""
@@ -165,8 +164,8 @@ def identify(
         max_iterations: Largest number of steps; three or four are usual. It is doubled if the rank is judged a second
             time, that is if the data have unknowns of their own and ``every`` is False.
         whiten: Function that weighs equations ``(E, ...)`` again, by robust weights or by estimated noise
-            (`pickenv.calibration.model.noise.RowNoise.whiten`). The equations are in the order of the data, in stated
-            standard uncertainties.
+            (`pickenv.calibration.model.noise_and_priors.RowNoise.whiten`). The equations are in the order of the data,
+            in stated standard uncertainties.
         rank_tolerance: Threshold below which a parameter is redundant, see `REDUNDANCY_TOLERANCE`.
         every: Whether every parameter has a prior among the data. Then all are kept. The covariance is that of the
             posterior, for equations whitened to unit variance.

@@ -21,7 +21,7 @@ from pickenv.calibration.identification.least_squares import Identification, ide
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_model, frames_model, with_terms
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
-from pickenv.calibration.model.noise import counted
+from pickenv.calibration.model.noise_and_priors import counted
 from pickenv.calibration.model.observations import Observations, equally_spaced, nearest_rotation, origins_of
 from pickenv.calibration.model.terms import weight_of
 

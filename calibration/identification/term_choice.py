@@ -20,9 +20,8 @@ from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.noise import counted
+from pickenv.calibration.model.noise_and_priors import counted, expected_sizes, prior_model
 from pickenv.calibration.model.observations import Observations, contiguous_folds, equally_spaced, same_poses
-from pickenv.calibration.model.prior import expected_sizes, prior_model
 from pickenv.calibration.model.terms import OrderTerm, PeriodicTerm, ThermalTerm, bending_of, weight_of
 
 # Least squares on contiguous blocks of rows at once: normal equations of all columns that may take part, by block.

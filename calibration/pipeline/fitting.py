@@ -17,8 +17,7 @@ import numpy as np
 
 from pickenv.arm import Arm, Array, Geometry
 from pickenv.base import LEAST, InputError, mean_interval, versions
-from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
-from pickenv.calibration.assessment.screen import Block, figure
+from pickenv.calibration.assessment.screen import LEAST_ROWS, Block, error_statistics, figure
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
 from pickenv.calibration.identification.robust import (
     BETTER,
@@ -33,14 +32,13 @@ from pickenv.calibration.identification.robust import (
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model
 from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.noise_and_priors import PriorModel, prior_model
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
-from pickenv.calibration.model.prior import PriorModel, prior_model
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
-from pickenv.calibration.residuals.gate import position_rms
-from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, fit_residual
+from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, fit_residual, position_rms
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +149,7 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, m
         arm: The arm.
         data: The rows.
         aligned: The result of `fit_frames`; None if base and tool are known.
-        model: The parameters to fit, with their priors (`pickenv.calibration.model.prior.prior_model`).
+        model: The parameters to fit, with their priors (`pickenv.calibration.model.noise_and_priors.prior_model`).
 
     Raises:
         InputError: If there are too few rows for parameters without priors, or the fit does not converge.

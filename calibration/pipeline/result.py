@@ -19,8 +19,8 @@ import numpy as np
 from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_tolerances
 from pickenv.base import Ends, InputError, folded, require, screen_width, shortened
 from pickenv.calibration.assessment import instrument, screen
-from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import Quality, grade_quality, workspace_error
+from pickenv.calibration.assessment.screen import ErrorStatistics, error_statistics
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification import diagnosis
 from pickenv.calibration.identification.term_choice import TermChoice
@@ -31,7 +31,7 @@ from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, PoseUncertainty, variance_by_station
 from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
 from pickenv.calibration.reading.read import joints_of, read_targets
-from pickenv.calibration.residuals.gate import GateVerdict, position_rms, selected, verdicts_record
+from pickenv.calibration.residuals.residual_models import GateVerdict, position_rms, selected, verdicts_record
 
 CAUTIONS, CAUTION = 3, 100
 """Largest number of cautions in a summary, and characters per line; each caution takes two lines at most."""

@@ -27,17 +27,23 @@ from pickenv.calibration.identification.term_choice import TermChoice, choose_te
 from pickenv.calibration.model import observations
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, pose_carrier
 from pickenv.calibration.model.measurements import FRAMES, OWN, Frames, InstrumentStation, Measurements, Stacked
-from pickenv.calibration.model.noise import noise_of
+from pickenv.calibration.model.noise_and_priors import FIT_WORDS, noise_of, prior_model
 from pickenv.calibration.model.observations import Observations, Rows, origins_of, pose_count
-from pickenv.calibration.model.prior import FIT_WORDS, prior_model
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.result import Result, assess, workspace_joints
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import joints_of, read_observations, read_scene, read_targets
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import AUTO, GateVerdict, gate_residuals, position_rms, selected
-from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
+from pickenv.calibration.residuals.residual_models import (
+    AUTO,
+    TRIAL_FITTERS,
+    GateVerdict,
+    gate_residuals,
+    position_rms,
+    require_residual,
+    selected,
+)
 
 # What a calibration may be asked for, and what does not go with what was measured.
 
@@ -58,8 +64,9 @@ class Choices:
         learn_from: Poses from which the named residual model learns; it is then always used, as in the paper. None
             lets it learn from the training rows, and uses it if it improves errors there.
         settings: Settings of the network "bpnn" that learns from ``learn_from``; None takes the paper's settings.
-        fit: One of `pickenv.calibration.model.prior.FIT_WORDS`. "auto" fits all parameters with priors. "offsets" fits
-            the joint zeros, and base and tool if unknown. "full" fits all parameters without priors, as the papers do.
+        fit: One of `pickenv.calibration.model.noise_and_priors.FIT_WORDS`. "auto" fits all parameters with priors.
+            "offsets" fits the joint zeros, and base and tool if unknown. "full" fits all parameters without priors, as
+            the papers do.
         tolerances: Name or path of the tolerance class that sets the priors of the arm's parts. None takes the arm's
             own class; for an arm without a class, that of a cobot.
         prior_scale: Factor on the standard deviations of the parts' priors. None estimates factors from the rows.

@@ -20,11 +20,11 @@ from scipy.linalg import block_diag
 from pickenv.arm import Arm, Array, Geometry, MeasurementNoise, Plant
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.plant.plant import Layout, Posterior
-from pickenv.arm.plant.twin_file import twin_plant
+from pickenv.arm.plant.populations import twin_plant
 from pickenv.base import InputError
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
-from pickenv.calibration.model.prior import never_told
+from pickenv.calibration.model.noise_and_priors import never_told
 from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, GravityTerm, PeriodicTerm, ThermalTerm
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feature_process

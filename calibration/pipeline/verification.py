@@ -17,19 +17,18 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, identity_pose, rotation_matrix
 from pickenv.base import DO_NOT_USE, InputError
-from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import no_gain
-from pickenv.calibration.assessment.screen import Block, error_cells, figure
+from pickenv.calibration.assessment.screen import Block, ErrorStatistics, error_cells, error_statistics, figure
 from pickenv.calibration.identification.diagnosis import MANY_FAR, LeftOut
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.identification.robust import OUTLIER_SIGMA, align, apart, registered, sizes_of
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, frames_model, joint_zeros_model
 from pickenv.calibration.model.measurements import OWN, Measurements
+from pickenv.calibration.model.noise_and_priors import Prior, never_told
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, origins_of, same_poses
-from pickenv.calibration.model.prior import Prior, never_told
 from pickenv.calibration.pipeline.calibration import Calibration, measured_there, uncertainty_from
 from pickenv.calibration.planning.plan import exchange
-from pickenv.calibration.residuals.gate import position_rms
+from pickenv.calibration.residuals.residual_models import position_rms
 
 # A calibrated arm seen from another station: base and tool found anew from a few rows, the arm left as it is. An
 # instrument that is set up again stands elsewhere and sees another target. What was found of the arm itself holds on;

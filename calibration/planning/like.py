@@ -22,8 +22,8 @@ from pickenv.calibration.identification.robust import align, robust_identify, ro
 from pickenv.calibration.identification.solve import UNKNOWN_STD
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, complete_model, frames_model
 from pickenv.calibration.model.kinds import DistanceObservations, SocketObservations
+from pickenv.calibration.model.noise_and_priors import FRAMES, PriorModel
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.prior import FRAMES, PriorModel
 from pickenv.calibration.planning import plan
 
 ROUNDS = 60

@@ -25,7 +25,7 @@ from pickenv.base import InputError, check_limit, single_threaded
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, observability
 from pickenv.calibration.model.arm_model import ErrorModel, frames_model, link_model
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, random_joints, write_joints
-from pickenv.calibration.model.prior import FRAMES, PriorModel
+from pickenv.calibration.model.noise_and_priors import FRAMES, PriorModel
 
 # Choosing poses by exchange: Fedorov 1972 in the one-after-the-other form of Cook and Nachtsheim 1980. A pose brings
 # a block of r rows, so the determinant lemma and Woodbury's identity are used with r x r blocks, for all candidates
@@ -444,9 +444,10 @@ def plan_poses(
 
     Args:
         arm: The arm, with joint limits and speeds.
-        model: The parameters to identify. If they have priors (`pickenv.calibration.model.prior.prior_model`), poses
-            are chosen by the information that they add to these, and there may be fewer poses than parameters. Scales
-            of prior widths that are not stated count as 1.
+        model: The parameters to identify. If they have priors
+            (`pickenv.calibration.model.noise_and_priors.prior_model`), poses are chosen by the information that they
+            add to these, and there may be fewer poses than parameters. Scales of prior widths that are not stated count
+            as 1.
         count: Number of poses to measure.
         rng: Draws candidates, the order of exchanges, and the random sets of poses that the plan is compared with.
         candidates: Joints to choose from ``(N, n)``, rad or m, from which random sets are drawn, too. Or the number of

@@ -22,7 +22,7 @@ from pickenv.base.registry import load_all, names
 from pickenv.calibration.camera.boards import DICTIONARIES, Board, one_of
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, ROOM_TEMPERATURE
 from pickenv.calibration.model.pixels import Mount
-from pickenv.calibration.reading.csv_table import CONVENTIONS, columns_of, expression_tree
+from pickenv.calibration.reading.table_files import CONVENTIONS, columns_of, expression_tree
 
 # Tables of a column description that say what was measured, one class for each way of saying it.
 

@@ -24,7 +24,7 @@ from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_pos
 from pickenv.calibration.model.observations import SAME_POSE, Observations, Origins, Rows
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading import description
-from pickenv.calibration.reading.csv_table import Table, read_table, rotations, table_of_entries
+from pickenv.calibration.reading.table_files import Table, read_table, rotations, table_of_entries
 
 # Files of one layout as columns of numbers, with their descriptions: what the readers of all kinds begin with.
 
@@ -73,7 +73,7 @@ class Files:
 
 
 QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
-"""For each recorded condition, the name of its limits in `pickenv.base.limits`.
+"""For each recorded condition, the name of its limits in `pickenv.base.errors`.
 
 Temperatures are relative to the reference.
 """

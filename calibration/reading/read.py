@@ -25,9 +25,9 @@ from pickenv.calibration.model.measurements import (
     joint_columns,
 )
 from pickenv.calibration.model.observations import Clocks, Observations, Origins, origins_of
-from pickenv.calibration.reading import csv_table, description, kind_readers, recording
-from pickenv.calibration.reading.bag_table import read_log
+from pickenv.calibration.reading import description, kind_readers, recording, table_files
 from pickenv.calibration.reading.kind_readers import Files
+from pickenv.calibration.reading.table_files import read_log
 
 
 def read_measurements(
@@ -94,7 +94,7 @@ def read_scene(
     """
     if not paths:
         raise InputError("no measurement file was given; give at least one")
-    csv_table.refuse_repeated(paths)
+    table_files.refuse_repeated(paths)
     given = None if columns is None else description.load_description(columns)
     where = "" if columns is None else str(description.description_path(columns))
     if given is not None and given.pixels is not None:
@@ -106,7 +106,7 @@ def read_scene(
     return [_data_set(part, geometry, layout, where, repeats) for layout, part in _by_scene(logs, given)]
 
 
-Log = tuple[csv_table.Table, Path]
+Log = tuple[table_files.Table, Path]
 """A file as a table, and its path; for views, the folder that the paths of pictures start from."""
 
 
@@ -175,7 +175,7 @@ def _data_set(
     logged, described, clocks = tables, layouts, tuple[Clocks, ...]()
     if given is not None and given.recording is not None:
 
-        def read(table: csv_table.Table, layout: description.DescriptionFile) -> Observations:
+        def read(table: table_files.Table, layout: description.DescriptionFile) -> Observations:
             rows: Observations = _rows([table], [layout], where, geometry, "fitted")
             return rows
 
@@ -293,7 +293,7 @@ def _in_scene(rows: Any, geometry: Geometry, names: tuple[str, str]) -> Any:
 
 
 def _rows(
-    tables: list[csv_table.Table],
+    tables: list[table_files.Table],
     layouts: list[description.DescriptionFile],
     where: str,
     geometry: Geometry,
@@ -318,7 +318,7 @@ def _rows(
     return replace(rows, source=source, conditions=_conditions(files), origins=origins, **known)
 
 
-def _frames(tables: list[csv_table.Table]) -> Frames:
+def _frames(tables: list[table_files.Table]) -> Frames:
     """Read the word "known" or "fitted" for base and tool from files in pickenv's own format; "fitted" if none has it.
 
     Raises:
@@ -381,20 +381,20 @@ def _poses(files: Files, _section: Any) -> Measurements:
             [kind_readers.read_attitudes(table, layout.rotation) for table, layout in files.pairs()]
         )
         if attitudes.convention is None:
-            fits = csv_table.convention_table(files.geometry, files.joints, position, values, files.source)
+            fits = table_files.convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
                 f"{files.where}: [rotation] names no convention, and none is guessed; after fitting base and tool "
                 f"each would leave, on average:\n{fits}\n"
                 "name one of them, or the maker's, as convention in [rotation]"
             )
-        rotation = csv_table.rotations(attitudes.convention, values)
+        rotation = table_files.rotations(attitudes.convention, values)
     rows = Measurements(
         files.joints, position, rotation, files.geometry.prismatic, first.std, std_stated=first.measured.std is not None
     )
     return rows if attitudes is None else replace(rows, attitude_std=attitudes.std)
 
 
-def _repeat(tables: list[csv_table.Table], layouts: list[description.DescriptionFile]) -> float | None:
+def _repeat(tables: list[table_files.Table], layouts: list[description.DescriptionFile]) -> float | None:
     """Compute the RMS scatter of a repeated position, m, from the files' ``std_columns``; None without these."""
     squares = []
     for table, layout in zip(tables, layouts, strict=True):
@@ -440,7 +440,7 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
     Raises:
         InputError: Names the file, and the row and column at fault.
     """
-    table = csv_table.read_table(path)
+    table = table_files.read_table(path)
     columns = joint_columns(geometry.prismatic)
     as_joints = all(name in table.header for name in columns)
     if not as_joints and not all(name in table.header for name in POSE_COLUMNS):

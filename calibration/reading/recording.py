@@ -27,11 +27,10 @@ from pickenv.calibration.identification.least_squares import Identification, ide
 from pickenv.calibration.identification.robust import MISFIT, OUTLIER_SIGMA, SPAN, rough_start, sigma_of
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, complete_model, frames_model
+from pickenv.calibration.model.noise_and_priors import prior_model
 from pickenv.calibration.model.observations import Clocks, Observations, Rows, equally_spaced, worked_out
-from pickenv.calibration.model.prior import prior_model
-from pickenv.calibration.reading import csv_table, description, kind_readers
-from pickenv.calibration.reading.bag_table import read_log
-from pickenv.calibration.reading.csv_table import Table
+from pickenv.calibration.reading import description, kind_readers, table_files
+from pickenv.calibration.reading.table_files import Table, read_log
 
 STEM = "{file}"
 """Placeholder in the joint log's path.
@@ -392,7 +391,7 @@ def _complete(log: Table, names: tuple[str, ...]) -> Table:
 
 def _plain(text: str, header: list[str]) -> Iterator[str]:
     """Yield the columns in ``header`` that the column expression ``text`` uses."""
-    tree, quoted = csv_table.expression_tree(text)
+    tree, quoted = table_files.expression_tree(text)
     words = [] if tree is None else [node.id for node in ast.walk(tree) if isinstance(node, ast.Name)]
     yield from (name for name in (text, *words, *quoted) if name in header)
 
@@ -437,7 +436,7 @@ def _speeds(logs: Logs) -> tuple[Array, Array, float]:
     if layout.rotation is not None and layout.rotation.convention is not None:
         first = names.index(layout.rotation.columns[0])
         columns = values[:, first : first + len(layout.rotation.columns)] * TO_SI[layout.rotation.checked_unit()]
-        seen = Slerp(logs.times, Rotation.from_matrix(csv_table.rotations(layout.rotation.convention, columns)))
+        seen = Slerp(logs.times, Rotation.from_matrix(table_files.rotations(layout.rotation.convention, columns)))
         turns = [Rotation.from_matrix(tool.rotation), seen(ends[1])]
         pair = [np.asarray((turn[:-width].inv() * turn[width:]).magnitude()) for turn in turns]
     else:

@@ -50,8 +50,8 @@ from pickenv.harvester import Controller, Machine, Strategy, load_lab, load_mach
 from pickenv.inspect import inspect_harvest, write_drawings
 from pickenv.inspect.reports import harvest_report
 from pickenv.inspect.reports.report_page import Section
-from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.run_folder import recorded_run, save_part
+from pickenv.inspect.runs.traces import HarvestTrace
 
 
 def main(

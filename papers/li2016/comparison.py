@@ -41,7 +41,7 @@ from pickenv.harvester import (
     zone_work,
 )
 from pickenv.inspect.reports.report_page import PageTable
-from pickenv.inspect.runs.harvest_trace import HarvestTrace, picked_tree
+from pickenv.inspect.runs.traces import HarvestTrace, picked_tree
 
 POSES = 60
 SEED = 2016

@@ -44,7 +44,7 @@ from pickenv.calibration import (
     start_filter,
     train_bpnn,
 )
-from pickenv.calibration.identification.extended_kalman_filter import update
+from pickenv.calibration.identification.solve import update
 from pickenv.calibration.residuals.residual_models import fit_residual
 
 METHODS = ("raw", "EKF", "LS", "RBF", "BPNN", "EKF+RBF", "EKF+BPNN", "LS+BPNN")

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from papers.pages import Columns, said, table, titled
 from papers.qiao2026.methods import Left, Protocol
 from pickenv.arm import Array
+from pickenv.inspect.colours import between, estimated
 from pickenv.inspect.figures import plot_calibration, plot_errors
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.reports.report_page import PageTable, Section
-from pickenv.inspect.runs.number_words import between, estimated
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 NOTES = (

@@ -24,7 +24,6 @@ from .files.model_arm import (
     quaternion as quaternion,
 )
 from .files.urdf import load_urdf as load_urdf, urdf_text as urdf_text, write_urdf as write_urdf
-from .kinematics.backend import chosen as chosen, clipped as clipped
 from .kinematics.forward import (
     Chain as Chain,
     Frame as Frame,
@@ -32,6 +31,8 @@ from .kinematics.forward import (
     Scalars as Scalars,
     attach as attach,
     chain_of as chain_of,
+    chosen as chosen,
+    clipped as clipped,
     drawn_parts as drawn_parts,
     forward as forward,
     frame_of as frame_of,
@@ -64,19 +65,17 @@ from .kinematics.inverse import (
     inverse as inverse,
     largest_cube as largest_cube,
 )
-from .kinematics.pose_error import (
+from .kinematics.task_space import (
+    damped_step as damped_step,
     displace_pose as displace_pose,
     frame_error as frame_error,
+    joint_jacobian as joint_jacobian,
+    noncompensable_error as noncompensable_error,
+    parameter_jacobian as parameter_jacobian,
     pose_error as pose_error,
     rotation_between as rotation_between,
     rotation_matrix as rotation_matrix,
     rotation_vector as rotation_vector,
-)
-from .kinematics.task_space import (
-    damped_step as damped_step,
-    joint_jacobian as joint_jacobian,
-    noncompensable_error as noncompensable_error,
-    parameter_jacobian as parameter_jacobian,
     task_directions as task_directions,
     truncated_inverse as truncated_inverse,
 )
@@ -100,8 +99,9 @@ from .plant.iso9283 import (
     pose_drift as pose_drift,
     pose_performance as pose_performance,
 )
-from .plant.plant import Plant as Plant, PlantState as PlantState
-from .plant.plant_batch import (
+from .plant.plant import (
+    Plant as Plant,
+    PlantState as PlantState,
     arrays_of as arrays_of,
     leaves as leaves,
     plant_at as plant_at,
@@ -119,14 +119,15 @@ from .plant.plant_file import (
     shipped_effects as shipped_effects,
     shipped_plants as shipped_plants,
 )
-from .plant.tolerances import (
+from .plant.populations import (
     TOLERANCES as TOLERANCES,
     Tolerances as Tolerances,
     draw_plants as draw_plants,
     erring_by as erring_by,
     it_tolerance as it_tolerance,
     load_tolerances as load_tolerances,
+    read_twin as read_twin,
     shipped_tolerances as shipped_tolerances,
     standard_deviations as standard_deviations,
+    write_twin as write_twin,
 )
-from .plant.twin_file import read_twin as read_twin, write_twin as write_twin

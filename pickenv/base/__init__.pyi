@@ -10,7 +10,16 @@ from .container import (
     sealed_parquet as sealed_parquet,
     write_container as write_container,
 )
-from .errors import InputError as InputError
+from .errors import (
+    DO_NOT_USE as DO_NOT_USE,
+    FITTED_FRAMES as FITTED_FRAMES,
+    LIMITS as LIMITS,
+    InputError as InputError,
+    check_known as check_known,
+    check_limit as check_limit,
+    obey as obey,
+    shown as shown,
+)
 from .extras import (
     EXTRAS as EXTRAS,
     absent_extras as absent_extras,
@@ -20,11 +29,23 @@ from .extras import (
     require as require,
 )
 from .files import (
+    Progress as Progress,
+    decimal_number as decimal_number,
+    folded as folded,
+    in_file as in_file,
+    is_file as is_file,
+    listed as listed,
     locked as locked,
+    one_line as one_line,
+    read_text as read_text,
+    screen_width as screen_width,
     separate as separate,
+    shortened as shortened,
+    side_by_side as side_by_side,
     write_json as write_json,
     write_text as write_text,
     write_whole as write_whole,
+    yaml_content as yaml_content,
 )
 from .intervals import (
     LEAST as LEAST,
@@ -45,43 +66,18 @@ from .intervals import (
     statistic_interval as statistic_interval,
     unseen_share as unseen_share,
 )
-from .limits import (
-    DO_NOT_USE as DO_NOT_USE,
-    FITTED_FRAMES as FITTED_FRAMES,
-    LIMITS as LIMITS,
-    check_known as check_known,
-    check_limit as check_limit,
-    obey as obey,
-    shown as shown,
-)
-from .provenance import (
+from .registry import register as register
+from .reproducibility import (
     code_fingerprint as code_fingerprint,
     command_line as command_line,
     command_words as command_words,
     file_sha256 as file_sha256,
-    versions as versions,
-)
-from .registry import register as register
-from .seeds import (
     run_seed as run_seed,
     seed_words as seed_words,
     single_threaded as single_threaded,
     stream as stream,
     torch_on_one_thread as torch_on_one_thread,
-)
-from .texts import (
-    Progress as Progress,
-    decimal_number as decimal_number,
-    folded as folded,
-    in_file as in_file,
-    is_file as is_file,
-    listed as listed,
-    one_line as one_line,
-    read_text as read_text,
-    screen_width as screen_width,
-    shortened as shortened,
-    side_by_side as side_by_side,
-    yaml_content as yaml_content,
+    versions as versions,
 )
 from .toml_tables import (
     ARCMIN as ARCMIN,

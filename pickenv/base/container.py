@@ -30,9 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.base.errors import InputError
-from pickenv.base.files import write_whole
-from pickenv.base.provenance import made_with
-from pickenv.base.texts import reason_of
+from pickenv.base.files import reason_of, write_whole
+from pickenv.base.reproducibility import made_with
 
 SCHEMA = "pickenv container 1"
 HEADER = "header.json"

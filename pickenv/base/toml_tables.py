@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_args, get_origin, get_type_hints
 
 from pickenv.base.errors import InputError
-from pickenv.base.texts import is_file, parsed, read_text, shortened, unknown
+from pickenv.base.files import is_file, parsed, read_text, shortened, unknown
 
 Thing = TypeVar("Thing")
 Class = TypeVar("Class", bound=type)

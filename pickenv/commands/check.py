@@ -186,11 +186,11 @@ def _kind_of(path: Path) -> tuple[str, int | None]:
     if path.suffix == ".parquet":
         return "chunk of a study", None
     if path.suffix == ".pt":
-        from pickenv.agents.training.checkpoints import FORMAT
+        from pickenv.agents.training.training import FORMAT
 
         return "checkpoint", FORMAT  # it may be far larger than other files, and is read once
     if path.suffix == ".npz":
-        from pickenv.inspect.runs.saved import LARGEST
+        from pickenv.inspect.runs.run_folder import LARGEST
 
         container = read_container(path, None, remake=REMAKE, limit=LARGEST)
         return container.kind, container.version
@@ -217,7 +217,7 @@ def _verified(path: Path, kind: str) -> str:
             policy = pickenv.load_policy(path) if kind == "policy" else pickenv.agents.load_remembering(path)
             return f"{policy.algorithm} on arm '{policy.arm}'"
         case "checkpoint":
-            from pickenv.agents.training.checkpoints import read_checkpoint
+            from pickenv.agents.training.training import read_checkpoint
 
             read_checkpoint(path)
             return "of a training"
@@ -228,7 +228,7 @@ def _verified(path: Path, kind: str) -> str:
             check_sealed_parquet(content, path, remake)
             return "whether it belongs to its study is found by checking the study's folder"
         case "CalibrationTrace" | "Comparison" | "HarvestTrace" | "RecordedEpisodes":
-            from pickenv.inspect.runs.saved import load_numbers
+            from pickenv.inspect.runs.run_folder import load_numbers
 
             load_numbers(path, getattr(pickenv.inspect, kind), "the command that wrote it")
             return "the numbers behind figures"
@@ -297,8 +297,8 @@ FILES: Mapping[str, str | tuple[str, Mapping[str, str]]] = {
         {
             "pick": "pickenv.harvester:Picking",
             "task": "pickenv.envs.harvesting.harvest_task:Rules",
-            "lab": "pickenv.harvester.trees:Lab",
-            "trees": "pickenv.harvester.trees:Orchard",
+            "lab": "pickenv.harvester.pick_points:Lab",
+            "trees": "pickenv.harvester.pick_points:Orchard",
         },
     ),
 }

@@ -203,7 +203,7 @@ def show_measured(result: dict[str, Any], details: bool) -> None:
     ``result`` is what `iso9283` writes to its JSON file. With ``details`` all poses, and a table of their drift, are
     printed.
     """
-    from pickenv.inspect.runs.number_words import said
+    from pickenv.inspect.colours import said
 
     poses = result["poses"]
     drifts = [{"name": pose["name"], **pose["drift"]} for pose in poses if pose["drift"] is not None]

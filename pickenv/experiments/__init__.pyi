@@ -8,9 +8,9 @@ from .engine import (
     keep as keep,
     kept_rows as kept_rows,
     run as run,
+    spread as spread,
     write_rows as write_rows,
 )
-from .executors import spread as spread
 from .experiment_file import load_experiment as load_experiment
 from .gains import measured_gains as measured_gains
 from .methods import (

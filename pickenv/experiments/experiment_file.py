@@ -39,7 +39,7 @@ from pickenv.base import WHOLE, Check, Estimate, InputError, Unit, estimate, fil
 from pickenv.base.intervals import LEAST
 from pickenv.base.toml_tables import made
 from pickenv.experiments.engine import Experiment, Rows, pivot
-from pickenv.inspect.runs.number_words import said
+from pickenv.inspect.colours import said
 
 WORD = Check(lambda value: isinstance(value, str) and value != "", "a text")
 NAMES = Check(

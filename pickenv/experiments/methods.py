@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from pickenv.agents import episode_seeds
 from pickenv.arm import Plant, load_instrument, plant_at
 from pickenv.arm.plant.campaign import TRACKER
-from pickenv.arm.plant.plant_batch import plant_count
+from pickenv.arm.plant.plant import plant_count
 from pickenv.base import InputError, stream
 from pickenv.base.registry import names, origin
 from pickenv.calibration import BpnnSettings, Calibration, fit

@@ -20,12 +20,11 @@ import numpy as np
 
 from pickenv import agents
 from pickenv.agents import Policy
-from pickenv.agents.evaluation.contenders import Kind, kind_of, load_any, maker_of, policy_name
-from pickenv.agents.evaluation.reaches import pick_canopies
+from pickenv.agents.evaluation.contenders import Kind, kind_of, load_any, maker_of, pick_canopies, policy_name
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.agents.policies.scripted import HASTY
 from pickenv.arm import Plant, plant_at
-from pickenv.arm.plant.plant_batch import plants_on
+from pickenv.arm.plant.plant import plants_on
 from pickenv.arm.plant.plant_file import class_of, draw_arms
 from pickenv.base import InputError, check_limit, file_sha256, seed_words, stream
 from pickenv.base.registry import names, origin

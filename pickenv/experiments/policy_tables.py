@@ -23,13 +23,12 @@ from pickenv.experiments.engine import Experiment, Rows, piece_table, pivot, run
 from pickenv.experiments.methods import CalibrationPlan
 from pickenv.experiments.policies import RUNG, PolicySettings, run_policies
 from pickenv.inspect import Run
-from pickenv.inspect.colours import as_sentence, policy_label
+from pickenv.inspect.colours import as_sentence, between, policy_label, said, unmarked
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.runs.matters import gripper_curves
-from pickenv.inspect.runs.number_words import between, said, unmarked
+from pickenv.inspect.runs.comparison_summary import gripper_curves
 from pickenv.inspect.runs.run_folder import TakePicture, recorded_run, unedited
 
 EPISODES = "episodes.parquet"

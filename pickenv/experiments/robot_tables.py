@@ -14,8 +14,7 @@ from pickenv.base import listed
 from pickenv.experiments.engine import Rows
 from pickenv.experiments.gains import LEARNT, LS
 from pickenv.experiments.robots import SETS, SPREAD, BenchSettings
-from pickenv.inspect.colours import TEXTS
-from pickenv.inspect.runs.number_words import said
+from pickenv.inspect.colours import TEXTS, said
 
 GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
 GAINS_FILE, ROBOTS_FILE, BLOCKED_FILE = "gains.csv", "measured-robots.csv", "measured_gains.json"

@@ -42,7 +42,7 @@ from pickenv.arm import (
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.files.arm import content_sha256
 from pickenv.arm.plant.campaign import TRACKER, NormalDraws, normal_draws
-from pickenv.arm.plant.tolerances import GRADE
+from pickenv.arm.plant.populations import GRADE
 from pickenv.base import LIMITS, ONCE, SHARE, WHOLE, Check, InputError, Key, Unit, single_threaded, toml_of, toml_table
 from pickenv.base.registry import names
 from pickenv.base.toml_tables import made

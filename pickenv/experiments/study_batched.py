@@ -23,10 +23,9 @@ from pickenv.arm import Array, Frame, Geometry, Plant, plant_at, plants_on
 from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.kinematics.forward import Chain, attach, chain_of, frames, tool_frame
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
-from pickenv.arm.kinematics.pose_error import frame_error
-from pickenv.arm.kinematics.task_space import link_column
+from pickenv.arm.kinematics.task_space import frame_error, link_column
 from pickenv.arm.plant.campaign import Place, in_components, visited
-from pickenv.arm.plant.plant_batch import tree_map, with_links
+from pickenv.arm.plant.plant import tree_map, with_links
 from pickenv.base import InputError, check_known, torch_on_one_thread
 from pickenv.calibration import Compensator
 from pickenv.calibration.compensation.compensator import corrected

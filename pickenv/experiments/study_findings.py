@@ -23,12 +23,11 @@ from pickenv.base import InputError, share_interval
 from pickenv.experiments import study
 from pickenv.experiments.study_rows import Row, held, quantiles_of, read_rows, study_of, yields_of
 from pickenv.experiments.study_variance import sensitivities_of
-from pickenv.inspect.colours import GREEN, OTHERS, RED, in_words, policy_colours, policy_label
+from pickenv.inspect.colours import GREEN, OTHERS, RED, in_words, percent, policy_colours, policy_label
 from pickenv.inspect.figures import style
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import alike, headline
 from pickenv.inspect.reports.report_page import PageVerdict
-from pickenv.inspect.runs.number_words import percent
 
 DENSE = tuple(float(p) for p in np.linspace(0.01, 0.99, 99))
 """Probabilities of the quantiles from which distributions are drawn."""

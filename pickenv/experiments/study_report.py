@@ -25,10 +25,9 @@ from pickenv.experiments.study import LS, OK, RAW, StudyConfig, arm_commands, ca
 from pickenv.experiments.study_findings import Findings, gather, ranked, setting_label, study_drawings
 from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summary, study_of, write_sobol
 from pickenv.inspect import Comparison, RecordedPolicy, Run, write_drawings
-from pickenv.inspect.colours import TEXTS, in_words
+from pickenv.inspect.colours import TEXTS, between, estimated, in_words, named_values
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import PageTable, Part, Section, html_of
-from pickenv.inspect.runs.number_words import between, estimated, named_values
 from pickenv.inspect.runs.recorded_episodes import ended, field_grid, reaches_of
 from pickenv.inspect.runs.run_folder import TakePicture
 

@@ -36,7 +36,7 @@ from scipy.special import chndtr, chndtrinc, ndtri
 from scipy.stats import qmc
 
 from pickenv.arm import Array, Plant
-from pickenv.arm.plant.tolerances import plants_from, random_columns
+from pickenv.arm.plant.populations import plants_from, random_columns
 from pickenv.base import InputError, mean_interval, single_threaded, statistic_interval
 from pickenv.experiments.study import LS, OK, RAW, Circumstances, Protocol, Setting, figures
 

@@ -1,13 +1,18 @@
 from .harvest_run import (
     Harvest as Harvest,
+    Luck as Luck,
     Measure as Measure,
+    Picking as Picking,
     Round as Round,
     Strategy as Strategy,
+    attempt as attempt,
+    draw_luck as draw_luck,
     funnel as funnel,
     harvest as harvest,
+    load_picking as load_picking,
+    pushes as pushes,
     work_trees as work_trees,
 )
-from .interference import arm_distances as arm_distances, pairs_of as pairs_of
 from .machine import (
     Machine as Machine,
     dense_workspace as dense_workspace,
@@ -17,21 +22,17 @@ from .machine import (
     travel_time as travel_time,
 )
 from .optimiser import assign as assign, lower_bound as lower_bound
-from .pick_points import Grid as Grid, Zone as Zone, cut as cut, load_grid as load_grid, pick_point as pick_point
-from .picking import (
-    Luck as Luck,
-    Picking as Picking,
-    attempt as attempt,
-    draw_luck as draw_luck,
-    load_picking as load_picking,
-    pushes as pushes,
-)
-from .trees import (
+from .pick_points import (
+    Grid as Grid,
     Orchard as Orchard,
     Tree as Tree,
+    Zone as Zone,
+    cut as cut,
     lab_zone as lab_zone,
+    load_grid as load_grid,
     load_lab as load_lab,
     load_orchard as load_orchard,
+    pick_point as pick_point,
     sample_tree as sample_tree,
     tree_leaves as tree_leaves,
 )
@@ -42,6 +43,8 @@ from .true_machine import (
 )
 from .work import (
     Work as Work,
+    arm_distances as arm_distances,
+    pairs_of as pairs_of,
     slave_joints_at as slave_joints_at,
     timetable as timetable,
     ultrasonic_hold as ultrasonic_hold,

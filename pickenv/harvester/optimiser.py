@@ -17,7 +17,7 @@ from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
 from pickenv.arm import Array
 from pickenv.base import NUMBER, check_known, read_toml, toml_table
-from pickenv.harvester.pick_points import SHIPPED
+from pickenv.harvester.pick_points import STRATEGY_FILE
 from pickenv.harvester.work import Plan, Work, last_arm
 
 
@@ -208,7 +208,7 @@ class Effort:
     seconds: Annotated[float, NUMBER.positive]
 
 
-load_effort = cache(partial(read_toml, Effort, SHIPPED, section="optimiser"))
+load_effort = cache(partial(read_toml, Effort, STRATEGY_FILE, section="optimiser"))
 """Return the table [optimiser] of the strategy file; the file is read only once."""
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Frame, Geometry, Plant, Pose, Scalars, attach, behind, forward, load_plant, split_joints
-from pickenv.arm.kinematics.backend import ONE
+from pickenv.arm.kinematics.forward import ONE
 from pickenv.base import InputError, read_toml
 from pickenv.harvester.machine import SHIPPED, Machine, TrueTable, shifted
 

@@ -1,4 +1,4 @@
-from .colours import in_words as in_words
+from .colours import between as between, estimated as estimated, in_words as in_words, percent as percent
 from .figures.plot_calibration import (
     joint_coverage as joint_coverage,
     least_squares_convergence as least_squares_convergence,
@@ -17,7 +17,6 @@ from .figures.plot_errors import (
     error_slices as error_slices,
     view_errors as view_errors,
 )
-from .figures.plot_estimates import error_by_condition as error_by_condition, estimates_figure as estimates_figure
 from .figures.plot_harvest import (
     funnel_bars as funnel_bars,
     gantt as gantt,
@@ -31,6 +30,8 @@ from .figures.plot_policies import (
     accuracy_by_pose as accuracy_by_pose,
     accuracy_drift as accuracy_drift,
     aggregates as aggregates,
+    error_by_condition as error_by_condition,
+    estimates_figure as estimates_figure,
     success_against_misalignment as success_against_misalignment,
 )
 from .figures.run_drawings import (
@@ -41,9 +42,12 @@ from .figures.run_drawings import (
 )
 from .figures.style import new_figure as new_figure, save_figure as save_figure
 from .films.film import film as film
-from .recordings.comparison_recording import record_comparison as record_comparison
+from .recordings.comparison_recording import (
+    inspect_calibration as inspect_calibration,
+    inspect_evaluation as inspect_evaluation,
+    record_comparison as record_comparison,
+)
 from .recordings.harvest_recording import inspect_harvest as inspect_harvest
-from .recordings.inspections import inspect_calibration as inspect_calibration, inspect_evaluation as inspect_evaluation
 from .recordings.log_rerun import LogRerun as LogRerun, LogRerunVector as LogRerunVector
 from .reports.calibration_report import (
     calibration_page as calibration_page,
@@ -58,15 +62,12 @@ from .reports.report_page import (
     page_of as page_of,
     plain_report as plain_report,
 )
-from .runs.calibration_trace import CalibrationTrace as CalibrationTrace, trace_of as trace_of
-from .runs.harvest_trace import HarvestTrace as HarvestTrace, PickedTree as PickedTree, picked_tree as picked_tree
-from .runs.matters import (
+from .runs.comparison_summary import (
     gripped as gripped,
     gripper_curves as gripper_curves,
     matters as matters,
     pick_changes as pick_changes,
 )
-from .runs.number_words import between as between, estimated as estimated, percent as percent
 from .runs.recorded_episodes import (
     Comparison as Comparison,
     FieldGrid as FieldGrid,
@@ -84,4 +85,11 @@ from .runs.run_folder import (
     recorded_run as recorded_run,
     run_kind as run_kind,
     save_part as save_part,
+)
+from .runs.traces import (
+    CalibrationTrace as CalibrationTrace,
+    HarvestTrace as HarvestTrace,
+    PickedTree as PickedTree,
+    picked_tree as picked_tree,
+    trace_of as trace_of,
 )

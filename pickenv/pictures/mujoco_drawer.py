@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from pickenv.arm import Array
-from pickenv.pictures.solids import all_triangles, mesh_triangles
+from pickenv.pictures.shapes import all_triangles, mesh_triangles
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Pixels, Rods, Stage, backdrop
 
 NEAR, FAR = 0.02, 100.0

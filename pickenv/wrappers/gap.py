@@ -1,4 +1,4 @@
-"""Wrappers that rescale observations and actions; `pickenv.envs.shared.scaling` has the formulas."""
+"""Wrappers that rescale observations and actions; `pickenv.envs.shared.spaces` has the formulas."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 from pickenv.base import InputError
 from pickenv.envs.shared.arm_env import Options
 from pickenv.envs.shared.native_vector import Seeds
-from pickenv.envs.shared.scaling import (
+from pickenv.envs.shared.spaces import (
     Rescaling,
     Scaling as Scaling,
     joined_observation as joined_observation,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, Geometry, joint_jacobian
 from pickenv.base import InputError
 from pickenv.envs.picking.pick_scene import CLOSE, PickSetting
-from pickenv.envs.shared.scaling import Rescaling, vector_length
+from pickenv.envs.shared.spaces import Rescaling, vector_length
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 from pickenv.wrappers.gap import ScaledEnv, ScaledVector
 

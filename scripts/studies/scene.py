@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from pickenv.agents import ScriptedScene, SeeingScene
-from pickenv.agents.evaluation.reaches import run_episodes
+from pickenv.agents.evaluation.contenders import run_episodes
 from pickenv.arm import Array
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration import fit, random_joints, simulated_tracker

@@ -16,7 +16,7 @@ from pickenv.experiments import load_study, read_summary, run_study
 from pickenv.experiments.study_findings import Findings, gather, setting_label, specified, yield_curves
 from pickenv.experiments.study_variance import SAMPLES, sobol_of
 from pickenv.inspect import save_figure
-from pickenv.inspect.runs.number_words import percent
+from pickenv.inspect.colours import percent
 
 ROOT = Path(__file__).parents[2]
 TABLES = ROOT / "docs" / "_static" / "tolerance-studies.txt"

@@ -87,7 +87,7 @@ def card(name: str, policy: LearnedPolicy | RememberingPolicy, results: list[dic
             "arm, and learns the camera's view of a fruit when the next episode begins. The first fruit of an arm it "
             "meets as if nothing were known; so every arm wants a policy of its own."
         )
-        use = "from pickenv.agents.policies.remembering import RememberingReach, load_remembering\n\n"
+        use = "from pickenv.agents.policies.adaptive import RememberingReach, load_remembering\n\n"
         use += f'policy = RememberingReach(env, load_remembering("{name}"))\n'
         use += "policy.reset()  # before every fruit; a new arm wants a new policy"
     else:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import pickenv.agents
 from pickenv.agents import Training, make_model, resumed, train
-from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint
+from pickenv.agents.training.training import read_checkpoint, save_checkpoint
 from pickenv.agents.training.training_setup import arguments_of, check_inputs, inputs_of
 from pickenv.arm import PLANTS, load_plant
 from pickenv.base import InputError, read_container, write_container

@@ -30,7 +30,7 @@ from pickenv.inspect import Comparison, RecordedEpisodes, load_part, read_run
 from pickenv.inspect.colours import as_sentence, in_words, lane, policy_colours, policy_rank
 from pickenv.inspect.recordings.policy_recording import record_policies
 from pickenv.inspect.runs import comparison_summary
-from pickenv.inspect.runs.matters import pick_share
+from pickenv.inspect.runs.comparison_summary import pick_share
 from pickenv.inspect.runs.recorded_episodes import missing_positions
 from pickenv.orchard import load_gripper
 

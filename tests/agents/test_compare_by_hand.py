@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pickenv.agents.evaluation.compare import _capture, _recorded_policy
-from pickenv.agents.evaluation.reaches import Moment
+from pickenv.agents.evaluation.contenders import Moment
 from pickenv.arm import Pose, load_plant
 from pickenv.orchard import capture_probability, load_gripper
 

@@ -100,7 +100,7 @@ def test_no_seeds_are_refused(env):
 
 
 def test_an_episode_without_end_is_refused(monkeypatch):
-    monkeypatch.setattr("pickenv.agents.evaluation.reaches.LONGEST_EPISODE", 100)
+    monkeypatch.setattr("pickenv.agents.evaluation.contenders.LONGEST_EPISODE", 100)
     endless = gym.make("pickenv/Reach-v0", max_episode_steps=-1)
     with pytest.raises(InputError, match="did not end within 100 steps; give the environment a time limit"):
         run_reaches(endless, Idle(), [1])

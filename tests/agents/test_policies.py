@@ -22,11 +22,11 @@ from pickenv.agents import (
     roll_out,
     run_reaches,
 )
-from pickenv.agents.evaluation.reaches import MOST_ROWS
+from pickenv.agents.evaluation.contenders import MOST_ROWS
 from pickenv.arm import InverseSolution, forward, inverse, joint_jacobian, load_arm
 from pickenv.base import InputError
 from pickenv.calibration import link_model, random_joints
-from pickenv.calibration.identification import extended_kalman_filter
+from pickenv.calibration.identification import solve
 from pickenv.envs.shared.situation import make_situation
 from pickenv.inspect import Reaches
 from pickenv.orchard import load_gripper
@@ -215,7 +215,7 @@ def test_gains_up_to_one_are_possible():
 def test_what_an_episode_showed_is_one_observation_of_the_place_where_the_arm_stood(monkeypatch):
     """Three pictures while it stood, none before: their mean, with sqrt(1.2^2 (1 + 1/3) + 0.5^2) mm of noise."""
     asked = []
-    monkeypatch.setattr(extended_kalman_filter, "update", lambda state, *given: asked.append(given) or state)
+    monkeypatch.setattr(solve, "update", lambda state, *given: asked.append(given) or state)
     policy = AdaptiveReach(far_reaching(), camera_std=1.2e-3, unmodelled_std=0.5e-3)
     pictures = np.random.default_rng(1).normal(0.0, 1e-2, (4, 3))
     policy.increment = np.full(6, 0.05)
@@ -235,7 +235,7 @@ def test_what_an_episode_showed_is_one_observation_of_the_place_where_the_arm_st
 
 def test_settings_of_which_nothing_is_said_are_a_camera_of_a_millimetre_and_half_of_one_unmodelled(monkeypatch):
     asked = []
-    monkeypatch.setattr(extended_kalman_filter, "update", lambda state, *given: asked.append(given) or state)
+    monkeypatch.setattr(solve, "update", lambda state, *given: asked.append(given) or state)
     policy = AdaptiveReach(far_reaching())
     policy.act(seen_at(GOAL, camera=np.zeros(3)))
     policy.reset()
@@ -253,16 +253,14 @@ def test_the_filters_begin_with_the_prior_that_is_given_in_tolerances():
 def test_the_filters_know_only_what_positions_can_tell():
     """The tool's turns are among what a full pose would tell besides."""
     policy, typical = AdaptiveReach(far_reaching()), random_joints(ARM, 200, np.random.default_rng(0))
-    full, part = (
-        extended_kalman_filter.start_filter(link_model(ARM), ARM, typical, full_pose=pose) for pose in (True, False)
-    )
+    full, part = (solve.start_filter(link_model(ARM), ARM, typical, full_pose=pose) for pose in (True, False))
     assert policy.start.columns.tolist() == part.columns.tolist() and len(part.columns) < len(full.columns)
 
 
 def test_each_arm_of_a_batch_notes_its_own_pictures_and_goes_to_its_own_joints(monkeypatch):
     """Of two arms the second has not arrived: only the first one's filter learns."""
     asked = []
-    monkeypatch.setattr(extended_kalman_filter, "update", lambda state, *given: asked.append(given) or state)
+    monkeypatch.setattr(solve, "update", lambda state, *given: asked.append(given) or state)
     policy = AdaptiveReach(far_reaching())
     policy.increment = np.full(6, 0.05)
     pictures = np.array([[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]])
@@ -365,7 +363,7 @@ class Still:
 @pytest.mark.parametrize("sequential", [True, False])
 def test_rows_are_every_arm_in_turn_whatever_runs_side_by_side(sequential, monkeypatch):
     """Three arms and five fruit: one round after the other, or as many as seven rows hold, two of three rows."""
-    monkeypatch.setattr("pickenv.agents.evaluation.reaches.MOST_ROWS", 7)
+    monkeypatch.setattr("pickenv.agents.evaluation.contenders.MOST_ROWS", 7)
     log = []
     found = roll_out(lambda env, seed: Still(env, seed, log), 3, 5, 11, steps=2, sequential=sequential)
     assert found.arm.tolist() == [0, 1, 2] * 5 and found.error_mm.shape == (2, 15) and len(found.reaches.seeds) == 15

@@ -18,8 +18,8 @@ from pickenv.agents import (
     train,
 )
 from pickenv.agents.evaluation.contenders import kind_of, maker_of
-from pickenv.agents.policies.remembering import remembers
-from pickenv.agents.training.checkpoints import read_checkpoint
+from pickenv.agents.policies.adaptive import remembers
+from pickenv.agents.training.training import read_checkpoint
 from pickenv.arm import load_arm
 from pickenv.base import InputError
 from pickenv.envs import ReachVectorEnv

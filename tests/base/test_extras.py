@@ -84,7 +84,7 @@ NEEDS = [
     ("skimage", "import numpy as np\nfrom pickenv.orchard import fruit_mask\nfruit_mask(None, np.eye(3))"),
     (
         "rosbags",
-        "from pathlib import Path\nfrom pickenv.calibration.reading.bag_table import read_log\n"
+        "from pathlib import Path\nfrom pickenv.calibration.reading.table_files import read_log\n"
         "Path('run.mcap').touch()\nread_log(Path('run.mcap'), '/joint_states')",
     ),
     ("cv2", "from pickenv.calibration.camera.boards import opencv\nopencv()"),

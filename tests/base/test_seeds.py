@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 
 from pickenv.agents import HELD_OUT, Training, episode_seeds, make_model
 from pickenv.base import InputError, run_seed, seed_words, stream
-from pickenv.base.seeds import RUN
+from pickenv.base.reproducibility import RUN
 from pickenv.experiments.policies import population_seed
 from pickenv.wrappers import make_sb3_vec
 

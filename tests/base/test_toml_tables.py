@@ -16,7 +16,7 @@ from pickenv.calibration.camera import boards
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.cli import app
 from pickenv.commands.check import FILES, class_of_file
-from pickenv.harvester import machine, pick_points, trees
+from pickenv.harvester import machine, pick_points
 from pickenv.orchard import preset_files
 
 ROOT = Path(__file__).parents[2]
@@ -28,8 +28,8 @@ WHOLE_FILES = {
     "description": sorted(DESCRIPTIONS.glob("*.toml")),
     "study": [ROOT / "scripts" / "tolerance_study.toml", ROOT / "scripts" / "tolerance_grades.toml"],
     "machine": [machine.SHIPPED],
-    "strategy": [pick_points.SHIPPED],
-    "picking": [trees.SHIPPED],
+    "strategy": [pick_points.STRATEGY_FILE],
+    "picking": [pick_points.PICKING_FILE],
 }
 SHIPPED = [path for paths in WHOLE_FILES.values() for path in paths]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pickenv.inspect.recordings.open_recording import headless_viewer
+from pickenv.inspect.recordings.viewing import headless_viewer
 from tests.browser.layout import Blueprint
 
 Result = TypeVar("Result")

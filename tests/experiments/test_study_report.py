@@ -11,7 +11,7 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.arm import forward
-from pickenv.arm.plant.tolerances import random_columns
+from pickenv.arm.plant.populations import random_columns
 from pickenv.base import InputError, share_interval
 from pickenv.experiments import (
     gather,

@@ -13,8 +13,7 @@ from pickenv.harvester import (
     ultrasonic_hold,
     zone_work,
 )
-from pickenv.harvester.interference import excursion_distances, segment_distance
-from pickenv.harvester.work import closest_approach
+from pickenv.harvester.work import closest_approach, excursion_distances, segment_distance
 
 
 def zone(machine, rng, count):

@@ -10,7 +10,7 @@ from pickenv.envs import CONTROL_PERIOD, HarvestEnv
 from pickenv.envs.harvesting import harvest_task as batch
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
 from pickenv.harvester import attempt, draw_luck, pushes
-from pickenv.harvester.picking import displacements
+from pickenv.harvester.harvest_run import displacements
 
 AWAY = np.array([0.0, 0.0, 9.0])
 

@@ -7,8 +7,8 @@ import pytest
 
 from papers.li2016.lab import sample_image
 from pickenv.harvester import attempt, draw_luck, load_orchard, load_picking, sample_tree
-from pickenv.harvester.picking import displacements, in_the_way
-from pickenv.harvester.trees import SHIPPED
+from pickenv.harvester.harvest_run import displacements, in_the_way
+from pickenv.harvester.pick_points import PICKING_FILE
 from pickenv.orchard import coupling, swing
 
 NOTHING = np.zeros((0, 3))
@@ -116,7 +116,7 @@ def test_fruit_that_does_not_fit_into_the_cup_is_never_taken(sure):
 
 def test_a_picking_file_that_was_changed_is_read_again(tmp_path):
     path = tmp_path / "mine.toml"
-    text = SHIPPED.read_text(encoding="utf-8")
+    text = PICKING_FILE.read_text(encoding="utf-8")
     for push in ("16.0", "40.0"):
         path.write_text(text.replace("push_mm = 16.0", f"push_mm = {push}"), encoding="utf-8")
         assert load_picking(path).push == pytest.approx(float(push) * 1e-3)

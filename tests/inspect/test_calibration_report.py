@@ -23,7 +23,7 @@ from pickenv.calibration.assessment.screen import figure, unit_of
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.inspect import PageTable, PageVerdict, Section, calibration_page, html_of, write_calibration_report
-from pickenv.inspect.runs.number_words import parameter_words
+from pickenv.inspect.colours import parameter_words
 
 VOID = {"meta"}
 

@@ -28,7 +28,7 @@ from pickenv.inspect.recordings.details import (
     joints_at,
 )
 from pickenv.inspect.runs.comparison_summary import cell_means
-from pickenv.inspect.runs.saved import cut_away
+from pickenv.inspect.runs.run_folder import cut_away
 
 COLORMAP = 6
 """Rerun's number of Viridis."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm, load_plant, nominal_points, shipped_arms, shipped_plants, true_points
-from pickenv.inspect.runs.saved import capsules
+from pickenv.inspect.runs.run_folder import capsules
 
 
 @pytest.mark.parametrize("name", shipped_plants())

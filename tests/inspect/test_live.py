@@ -23,13 +23,12 @@ from typer.testing import CliRunner
 
 from pickenv.base import InputError
 from pickenv.cli import app
-from pickenv.commands.inspection import inspect, recordings_of
+from pickenv.commands.comparing import inspect, recordings_of
 from pickenv.experiments import PolicySettings, run_policies
 from pickenv.experiments.policy_tables import write_evaluation
 from pickenv.inspect import Comparison, record_comparison, recorded_run, save_part
-from pickenv.inspect.recordings import live
-from pickenv.inspect.recordings.live import open_live
-from pickenv.inspect.recordings.open_recording import check_recording
+from pickenv.inspect.recordings import viewing
+from pickenv.inspect.recordings.viewing import check_recording, open_live
 
 RERUN = Path(sys.executable).with_name("rerun")
 ROOT = Path(__file__).parents[2]
@@ -157,11 +156,11 @@ def test_the_viewer_is_this_pythons_and_keeps_to_itself(monkeypatch: pytest.Monk
     """A package that is seen from another folder has no program beside this Python; and telemetry is off."""
     monkeypatch.delenv("CI", raising=False)
     monkeypatch.delenv("FORCE_RERUN_ANALYTICS", raising=False)
-    said = subprocess.run(live.rerun_command(version=True), capture_output=True, text=True, check=True).stdout
-    assert "0.41" in said and live.rerun_command()[:2] == [sys.executable, "-m"]
-    assert live.viewer_environment() == {**os.environ, "CI": "1"}
+    said = subprocess.run(viewing.rerun_command(version=True), capture_output=True, text=True, check=True).stdout
+    assert "0.41" in said and viewing.rerun_command()[:2] == [sys.executable, "-m"]
+    assert viewing.viewer_environment() == {**os.environ, "CI": "1"}
     monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
-    assert live.viewer_environment() == dict(os.environ)
+    assert viewing.viewer_environment() == dict(os.environ)
 
 
 def test_one_way_of_showing_at_a_time(recording: Path) -> None:
@@ -292,11 +291,11 @@ def test_connect_sends_everything_to_a_viewer_that_runs(
         deadline = time.monotonic() + 600.0
         while time.monotonic() < deadline:
             try:
-                live.check_answers(url)
+                viewing.check_answers(url)
                 break
             except InputError:
                 time.sleep(0.2)
-        monkeypatch.setattr(live, "PATIENCE", 600.0)
+        monkeypatch.setattr(viewing, "PATIENCE", 600.0)
         inspect(recording, connect=url)
         wanted = len(RrdReader(recording).stream().to_chunks())
         chunks = awaited(copy, lambda chunks: len(chunks) >= wanted)

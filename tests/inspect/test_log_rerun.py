@@ -24,9 +24,9 @@ from pickenv.arm import forward
 from pickenv.base import InputError
 from pickenv.envs import HarvestEnv, ReachVectorEnv
 from pickenv.inspect import LogRerun, LogRerunVector
-from pickenv.inspect.recordings import live, log_rerun
+from pickenv.inspect.recordings import log_rerun, viewing
 from pickenv.inspect.recordings.episode_entities import capped_cubic
-from pickenv.inspect.recordings.live import check_answers
+from pickenv.inspect.recordings.viewing import check_answers
 
 RERUN = Path(sys.executable).with_name("rerun")
 ROOT = Path(__file__).parents[2]
@@ -365,7 +365,7 @@ def test_a_viewer_that_does_not_answer_is_named(tmp_path: Path) -> None:
 
 def test_without_a_screen_no_viewer_is_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.setattr(live, "VIEWER_PORT", free_port())
+    monkeypatch.setattr(viewing, "VIEWER_PORT", free_port())
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(InputError, match="no screen"):
@@ -383,11 +383,11 @@ def test_a_viewer_is_started_on_this_machine_alone(tmp_path: Path, monkeypatch: 
     display = f":{free_port()}"
     screen = subprocess.Popen(["Xvfb", display], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     monkeypatch.setenv("DISPLAY", display)
-    monkeypatch.setattr(live, "VIEWER_PORT", free_port())
-    monkeypatch.setattr(live, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=subprocess.DEVNULL))
+    monkeypatch.setattr(viewing, "VIEWER_PORT", free_port())
+    monkeypatch.setattr(viewing, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=subprocess.DEVNULL))
     try:
         run(reach(tmp_path, spawn=True), 2, 8)
-        check_answers(f"rerun+http://127.0.0.1:{live.VIEWER_PORT}/proxy")
+        check_answers(f"rerun+http://127.0.0.1:{viewing.VIEWER_PORT}/proxy")
     finally:
         for viewer in started:
             os.killpg(viewer.pid, signal.SIGTERM)

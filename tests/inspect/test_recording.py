@@ -19,7 +19,7 @@ from pickenv.inspect.colours import lane, viridis
 from pickenv.inspect.recordings import comparison_recording as recording
 from pickenv.inspect.recordings.scribe import Scribe, f32, recording_bytes
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm
-from pickenv.inspect.runs.saved import cut_away
+from pickenv.inspect.runs.run_folder import cut_away
 
 RERUN = Path(sys.executable).with_name("rerun")
 KEYS = ("raw", "ls", "ls_bpnn")

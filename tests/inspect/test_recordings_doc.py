@@ -33,7 +33,7 @@ def test_its_programs_run_and_write_what_it_says(tmp_path: Path, monkeypatch: py
 def test_its_options_exist(option: str) -> None:
     import inspect
 
-    from pickenv.commands.inspection import inspect as command
+    from pickenv.commands.comparing import inspect as command
 
     assert option.removeprefix("--") in inspect.signature(command).parameters
 

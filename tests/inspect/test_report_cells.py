@@ -44,8 +44,8 @@ from pickenv.inspect import (
     percent,
     pick_changes,
 )
+from pickenv.inspect.colours import parameter_words
 from pickenv.inspect.reports import calibration_report, demo_report, report_page
-from pickenv.inspect.runs.number_words import parameter_words
 from pickenv.inspect.runs.run_folder import MATTERS_FILE
 
 

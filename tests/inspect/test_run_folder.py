@@ -23,9 +23,8 @@ from pickenv.inspect import (
     save_part,
     trace_of,
 )
-from pickenv.inspect.runs import saved
-from pickenv.inspect.runs.run_folder import added_to, faults_of, load_result
-from pickenv.inspect.runs.saved import load_numbers, save_numbers
+from pickenv.inspect.runs import run_folder
+from pickenv.inspect.runs.run_folder import added_to, faults_of, load_numbers, load_result, save_numbers
 
 
 def assert_same(one, other):
@@ -151,7 +150,7 @@ def test_a_file_that_is_not_whole_is_refused_by_name(folder: Path, change, words
 
 
 def rewritten(
-    path: Path, kind: str = "Comparison", version: int = saved.FORMATS["Comparison"], **header: object
+    path: Path, kind: str = "Comparison", version: int = run_folder.DATA_FORMATS["Comparison"], **header: object
 ) -> None:
     """The file under a seal that holds, with another kind, version or header."""
     found = read_container(path, None, remake="")
@@ -189,7 +188,9 @@ def test_a_path_that_is_no_folder_is_refused(tmp_path: Path) -> None:
 
 def test_what_holds_code_cannot_be_saved(tmp_path: Path, comparison: Comparison) -> None:
     with pytest.raises(TypeError, match="function cannot be saved"):
-        saved.save_numbers(tmp_path / "x.npz", replace(comparison, plant=replace(comparison.plant, ready=lambda x: x)))
+        run_folder.save_numbers(
+            tmp_path / "x.npz", replace(comparison, plant=replace(comparison.plant, ready=lambda x: x))
+        )
     assert list(tmp_path.iterdir()) == []
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.inspect import Comparison
-from pickenv.inspect.runs.saved import cut_away, eye_direction, shown_box
+from pickenv.inspect.runs.run_folder import cut_away, eye_direction, shown_box
 
 
 @pytest.mark.parametrize("shape", [(10, 10, 10), (9, 5, 9), (4, 12, 6)])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.inspect import Comparison, record_comparison
-from pickenv.inspect.recordings.open_recording import WINDOW, viewer_picture
+from pickenv.inspect.recordings.viewing import WINDOW, viewer_picture
 
 pytestmark = pytest.mark.browser
 

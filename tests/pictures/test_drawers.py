@@ -12,7 +12,7 @@ import pytest
 
 from pickenv.pictures import drawers
 from pickenv.pictures.drawers import draw_plainly, lettered
-from pickenv.pictures.solids import chequered
+from pickenv.pictures.shapes import chequered
 from pickenv.pictures.stage import Dial, Eye, Mesh, Rods, Stage, Words, backdrop, rgba, spheres
 
 EYE = Eye(np.array([0.0, -3.0, 1.0]), np.array([0.0, 0.0, 0.0]))

@@ -13,7 +13,7 @@ from gymnasium.wrappers import RecordVideo
 import pickenv  # noqa: F401
 from pickenv.arm import forward, load_arm
 from pickenv.base import InputError
-from pickenv.pictures.arm_shapes import GAIN
+from pickenv.pictures.shapes import GAIN
 
 IDS = sorted(name for name in gym.registry if name.startswith("pickenv/"))
 NATIVE = [name for name in IDS if gym.registry[name].vector_entry_point]

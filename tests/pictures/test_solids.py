@@ -7,15 +7,15 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pickenv.pictures.solids import (
+from pickenv.pictures.shapes import (
     all_triangles,
     chequered,
     leaf_mesh,
     mesh_triangles,
+    row_of_trees,
     turned,
 )
 from pickenv.pictures.stage import Eye, Mesh, fitted_eye, rgba
-from pickenv.pictures.tree_shapes import row_of_trees
 
 
 def volume(corners, triangles):

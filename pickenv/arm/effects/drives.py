@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Annotated, Any
 
-from pickenv.arm.effects.effect import BESIDE, JOINT, MOTOR, Components, Draws, Effect, Passage
+from pickenv.arm.effects.effect import BESIDE, JOINT, MOTOR, Components, Draws, Effect, Passage, joint_table
 from pickenv.arm.files.arm import PER_JOINT
-from pickenv.arm.files.joint_keys import joint_table
-from pickenv.arm.kinematics.backend import exponential, nearest_whole
-from pickenv.arm.kinematics.forward import Frame, Scalar, Scalars, frames
-from pickenv.arm.kinematics.pose_error import displaced_frame
+from pickenv.arm.kinematics.forward import Frame, Scalar, Scalars, exponential, frames, nearest_whole
+from pickenv.arm.kinematics.task_space import displaced_frame
 from pickenv.base import ARCSEC, DEG, HOURS, KELVIN, MILLISECONDS, MM, UM, InputError, Unit, register, toml_table
 
 

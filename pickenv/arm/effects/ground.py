@@ -16,8 +16,7 @@ import numpy as np
 from pickenv.arm.effects.effect import BASE, JOINT, Components, Draws, Effect, Passage
 from pickenv.arm.effects.structure import turn_horizontally
 from pickenv.arm.files.arm import PER_JOINT
-from pickenv.arm.kinematics.backend import exponential, namespace_of
-from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm.kinematics.forward import Scalar, exponential, namespace_of
 from pickenv.base import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Unit, afterwards, register, toml_table
 
 GIVING_WAY = {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"}

@@ -20,13 +20,23 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.effects.effect import DRIVE, TOOL, Components, Draws, Effect, Passage, standard_normal_of
+from pickenv.arm.effects.effect import (
+    DRIVE,
+    LENGTH,
+    TOOL,
+    TRAVEL,
+    ByJoint,
+    Components,
+    Draws,
+    Effect,
+    Passage,
+    numbers_per_joint,
+    standard_normal_of,
+)
 from pickenv.arm.effects.structure import Harmonic, with_waves
-from pickenv.arm.files.joint_keys import LENGTH, TRAVEL, ByJoint, numbers_per_joint
-from pickenv.arm.kinematics.backend import outside
-from pickenv.arm.kinematics.forward import Scalar, Scalars
+from pickenv.arm.kinematics.forward import Scalar, Scalars, outside
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.kinematics.pose_error import displaced_frame
+from pickenv.arm.kinematics.task_space import displaced_frame
 from pickenv.base import MM, NUMBER, WHOLE, InputError, Then, register, toml_table
 
 CHUNK = 64
@@ -47,7 +57,7 @@ class Features:
         outputs: Number of outputs O: 3 (position) or 6 (pose).
     """
 
-    shared: ClassVar[bool] = True  # `pickenv.arm.plant.plant_batch` leaves it as it is
+    shared: ClassVar[bool] = True  # `pickenv.arm.plant.plant` leaves it as it is
 
     frequency: Single
     centre: tuple[float, ...]

@@ -8,12 +8,25 @@ from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Annotated, Any
 
-from pickenv.arm.effects.effect import BEND, DRIVE, GEAR, JOINT, Components, Draws, Effect, Passage, Weight
+from pickenv.arm.effects.effect import (
+    BEND,
+    BOOM,
+    DRIVE,
+    GEAR,
+    JOINT,
+    LENGTH,
+    TRAVEL,
+    ByJoint,
+    Components,
+    Draws,
+    Effect,
+    Passage,
+    Weight,
+    joint_table,
+)
 from pickenv.arm.files.arm import PER_JOINT, Arm
-from pickenv.arm.files.joint_keys import BOOM, LENGTH, TRAVEL, ByJoint, joint_table
-from pickenv.arm.kinematics.backend import chosen, clipped
-from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar, Scalars
-from pickenv.arm.kinematics.pose_error import displaced_frame
+from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar, Scalars, chosen, clipped
+from pickenv.arm.kinematics.task_space import displaced_frame
 from pickenv.base import GRAVITY, register, toml_tables
 
 

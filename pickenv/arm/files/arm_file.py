@@ -18,10 +18,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm, Load
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, geometry_of
-from pickenv.arm.files.xml_values import xml_number
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, geometry_of, xml_number
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh, identity_pose
-from pickenv.arm.kinematics.pose_error import rotation_matrix
+from pickenv.arm.kinematics.task_space import rotation_matrix
 from pickenv.base import InputError, in_file, read_text, register, registry, shortened, toml_tables, yaml_content
 
 ARMS = Path(__file__).parent / "arms"

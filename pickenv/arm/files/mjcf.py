@@ -26,19 +26,25 @@ from pickenv.arm.files.joint_chain import (
     Carried,
     ChainJoint,
     Drive,
+    Element,
     JointRow,
     Mass,
     arm_of,
     driver_of,
     flange,
     link_origins,
+    numbers_text,
+    unit_vector,
+    xml_mass,
+    xml_number,
+    xml_numbers,
+    xml_root,
 )
 from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
-from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_mass, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
-from pickenv.arm.kinematics.pose_error import rotation_matrix
+from pickenv.arm.kinematics.task_space import rotation_matrix
 from pickenv.base import DEG, RAD, InputError, M, decimal_number, is_file, listed, one_line, register, shortened
-from pickenv.base.texts import in_file
+from pickenv.base.files import in_file
 
 # MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
 # kinematics are exact. Masses are not known of an arm's table: each link is a rod of `DENSITY`, so that inertias are

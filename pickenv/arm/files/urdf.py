@@ -21,14 +21,20 @@ from pickenv.arm.files.joint_chain import (
     Carried,
     ChainJoint,
     Drive,
+    Element,
     JointRow,
     Mass,
     arm_of,
     driver_of,
     flange,
     link_origins,
+    numbers_text,
+    unit_vector,
+    xml_mass,
+    xml_number,
+    xml_numbers,
+    xml_root,
 )
-from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_mass, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, in_file, one_line, register, shortened, write_text
 

@@ -21,7 +21,7 @@ from scipy.stats import qmc
 from pickenv.arm.kinematics import task_space
 from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
-from pickenv.arm.kinematics.pose_error import pose_error
+from pickenv.arm.kinematics.task_space import pose_error
 from pickenv.base import InputError
 
 STEP_LIMIT = 0.4

@@ -1,8 +1,8 @@
 """Read plants (simulated true arms) by name or from TOML files.
 
 A plant file names an arm and has the size and source of each effect. The presets are in the folder `plants`. The plant
-of a calibrated arm is a file of another kind (`pickenv.arm.plant.twin_file`). A name may also stand for an arm without
-error ("ideal:ur5e"), or for an arm of a tolerance class ("coarse:ur5e").
+of a calibrated arm is a file of another kind (`pickenv.arm.plant.populations`). A name may also stand for an arm
+without error ("ideal:ur5e"), or for an arm of a tolerance class ("coarse:ur5e").
 """
 
 from __future__ import annotations
@@ -25,8 +25,14 @@ from pickenv.arm.kinematics.forward import chain_of, frames
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.arm.plant.plant import Plant, Unmeasured
-from pickenv.arm.plant.tolerances import SizesTable, Tolerances, draw_plants, load_tolerances, shipped_tolerances
-from pickenv.arm.plant.twin_file import read_twin
+from pickenv.arm.plant.populations import (
+    SizesTable,
+    Tolerances,
+    draw_plants,
+    load_tolerances,
+    read_twin,
+    shipped_tolerances,
+)
 from pickenv.base import InputError, is_file, listed, registry, shortened, stream, toml_tables
 
 PLANTS = Path(__file__).parent / "plants"

@@ -18,7 +18,7 @@ from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import Compensate, checked_action, refuse_unknown
 from pickenv.harvester import Machine
-from pickenv.pictures import arm_shapes, tree_shapes
+from pickenv.pictures import shapes
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Rods, Stage, Words, rgba, spheres
 
 LONGEST = 600
@@ -34,9 +34,9 @@ class HarvestEnv(DrawnEnv):
     takes a fruit from below, cuts its stalk and keeps it. One policy moves all joints. The machine that moves is the
     machine as built. Its cups are 6 to 9 mm off, and they tolerate 5 to 11 mm. A cup that moves into the canopy pushes
     neighbouring fruit away. Arms never collide, since a guard stops arms that would come nearer to each other than two
-    arm radii and a margin. As in the reproduction of Li's experiment, `pickenv.harvester.picking` decides the outcome
-    of an attempt. It considers how far off the cup is, fruit in its way, the blade and damage. Pushed fruit swings on
-    its branch, and a part of its displacement remains.
+    arm radii and a margin. As in the reproduction of Li's experiment, `pickenv.harvester.harvest_run` decides an
+    attempt's outcome. It considers how far off the cup is, fruit in its way, the blade and damage. Pushed fruit swings
+    on its branch, and a part of its displacement remains.
 
     ## Action Space
 
@@ -269,13 +269,13 @@ def draw_harvest(
     master, slaves = machine.parted(command)
     pivots = machine.tips(master, slaves * [1.0, 0.0, 0.0])[0]
     picked = int((state.status[0] == batch.COLLECTED).sum())
-    solids = arm_shapes.joined_solids(
+    solids = shapes.joined_solids(
         _master(machine, command[0], pivots),
         slave_solids(pivots, tips, machine.body.radius / 2),
-        _ghosts(pivots, tips + arm_shapes.GAIN * (ghosts - tips), machine.body.radius / 2),
-        *(arm_shapes.cup_solids(tip, UP, arm_shapes.CUP_RADIUS) for tip in tips),
+        _ghosts(pivots, tips + shapes.GAIN * (ghosts - tips), machine.body.radius / 2),
+        *(shapes.cup_solids(tip, UP, shapes.CUP_RADIUS) for tip in tips),
         zone_fruit(state),
-        tree_shapes.crate(_eye(state), SIZE, picked, float(state.diameters[0].mean()), -machine.base_height),
+        shapes.crate(_eye(state), SIZE, picked, float(state.diameters[0].mean()), -machine.base_height),
         _cameras(task, command[0]),
     )
     words = (
@@ -287,7 +287,7 @@ def draw_harvest(
     return Stage(_eye(state), *solids, still=_surroundings(task, state, dark), words=words, dark=dark)
 
 
-def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids:
+def _master(machine: Machine, joints: Array, pivots: Array) -> shapes.Solids:
     """Return the solids of the master arm: the column, the boom, and the rail that carries the slaves.
 
     Args:
@@ -303,12 +303,12 @@ def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids
     start = np.stack([axis, shoulder, ends[0], *(np.array([*pivot[:2], frame[2]]) for pivot in pivots)])
     end = np.stack([top, frame, ends[1], *pivots])
     radius = np.array([0.05, 0.035, 0.03, *[0.022] * len(pivots)])
-    colour = np.concatenate([rgba(arm_shapes.METAL, 1), rgba(arm_shapes.LINK, 2), rgba(arm_shapes.METAL, len(pivots))])
-    balls = spheres(np.stack([shoulder, frame]), np.array([0.075, 0.05]), rgba(arm_shapes.JOINT, 2))
+    colour = np.concatenate([rgba(shapes.METAL, 1), rgba(shapes.LINK, 2), rgba(shapes.METAL, len(pivots))])
+    balls = spheres(np.stack([shoulder, frame]), np.array([0.075, 0.05]), rgba(shapes.JOINT, 2))
     return (Rods(start, end, radius, colour),), (balls,), ()
 
 
-def slave_solids(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
+def slave_solids(pivots: Array, tips: Array, radius: float) -> shapes.Solids:
     """Return the solids of the slave arms, each a tube with a rod in it that ends below its cup.
 
     Args:
@@ -319,39 +319,39 @@ def slave_solids(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids
     ends = tips - 0.06 * UP
     half = pivots + 0.5 * (ends - pivots)
     count = len(tips)
-    tubes = Rods(pivots, half, np.full(count, radius), rgba(arm_shapes.LINK, count))
-    rods = Rods(half, ends, np.full(count, 0.6 * radius), rgba(arm_shapes.METAL, count))
-    return (tubes, rods), (spheres(pivots, np.full(count, 1.3 * radius), rgba(arm_shapes.JOINT, count)),), ()
+    tubes = Rods(pivots, half, np.full(count, radius), rgba(shapes.LINK, count))
+    rods = Rods(half, ends, np.full(count, 0.6 * radius), rgba(shapes.METAL, count))
+    return (tubes, rods), (spheres(pivots, np.full(count, 1.3 * radius), rgba(shapes.JOINT, count)),), ()
 
 
-def _ghosts(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
+def _ghosts(pivots: Array, tips: Array, radius: float) -> shapes.Solids:
     count = len(tips)
-    colour = rgba(arm_shapes.GHOST, count, arm_shapes.FAINT)
+    colour = rgba(shapes.GHOST, count, shapes.FAINT)
     rods = Rods(pivots, tips - 0.06 * UP, np.full(count, 0.8 * radius), colour)
     return (rods,), (spheres(tips - 0.03 * UP, np.full(count, 0.035), colour),), ()
 
 
-def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
+def zone_fruit(state: batch.HarvestState) -> shapes.Solids:
     """Return the solids of all fruit before the first machine of ``state`` that is not collected.
 
     Ripe fruit in reach is red, fruit out of reach is green, and lost fruit has a third colour.
     """
     hanging = state.status[0] != batch.COLLECTED
-    colours = tree_shapes.fruit_colours(state.fruit.shape[1])
-    colours[~state.reachable[0]] = tree_shapes.GREEN
-    colours[(state.status[0] != batch.HANGING) & (state.status[0] != batch.COLLECTED)] = tree_shapes.MISSED_FRUIT
+    colours = shapes.fruit_colours(state.fruit.shape[1])
+    colours[~state.reachable[0]] = shapes.GREEN
+    colours[(state.status[0] != batch.HANGING) & (state.status[0] != batch.COLLECTED)] = shapes.MISSED_FRUIT
     places = state.fruit[0] + state.moved[0]
-    return tree_shapes.fruit_solids(places[hanging], state.diameters[0][hanging], colours[hanging])
+    return shapes.fruit_solids(places[hanging], state.diameters[0][hanging], colours[hanging])
 
 
-def _cameras(task: batch.HarvestTask, joints: Array) -> arm_shapes.Solids:
+def _cameras(task: batch.HarvestTask, joints: Array) -> shapes.Solids:
     """Return the solids of the stereo pair, which took its pictures from the aisle before the machine came.
 
     ``joints`` is the joint command of the whole machine ``(joints,)``, rad or m.
     """
     frame = task.machine.frame3(joints[:3])
     eye = np.array([frame[0], 0.0, frame[2]])
-    return arm_shapes.frustum_solids(eye, np.array([0.0, -1.0, 0.0]), (0.6, 0.45), 0.3, (110, 96, 160))
+    return shapes.frustum_solids(eye, np.array([0.0, -1.0, 0.0]), (0.6, 0.45), 0.3, (110, 96, 160))
 
 
 def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool) -> tuple[Mesh, ...]:
@@ -360,8 +360,8 @@ def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool
     middle = np.round(state.fruit[0].mean(axis=0), 1)
     low = (float(middle[0]) - 0.6, -canopy.standoff - canopy.depth, max(float(middle[2]) - 0.5, height + 0.3))
     high = (float(middle[0]) + 0.6, -canopy.standoff, float(middle[2]) + 0.6)
-    trees = tree_shapes.row_of_trees(low, high, canopy.leaf_area_per_volume, height)
-    return (tree_shapes.ground_around(0.0, -0.5, height, dark), *trees)
+    trees = shapes.row_of_trees(low, high, canopy.leaf_area_per_volume, height)
+    return (shapes.ground_around(0.0, -0.5, height, dark), *trees)
 
 
 def _eye(state: batch.HarvestState) -> Eye:

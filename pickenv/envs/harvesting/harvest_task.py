@@ -17,10 +17,9 @@ from pickenv.base import MM, NUMBER, InputError, is_there, read_toml, shown, tom
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_flag, check_number
-from pickenv.harvester.interference import arm_distances, pair_distances, pairs_of
-from pickenv.harvester.pick_points import AHEAD
-from pickenv.harvester.picking import attempt, draw_luck, pushes
-from pickenv.harvester.trees import SHIPPED, lab_zone, tree_leaves
+from pickenv.harvester.harvest_run import attempt, draw_luck, pushes
+from pickenv.harvester.pick_points import AHEAD, PICKING_FILE, lab_zone, tree_leaves
+from pickenv.harvester.work import arm_distances, pair_distances, pairs_of
 from pickenv.orchard import Eyes, Sight, face, fruit_masses, load_eyes, sample_diameters, see, swing
 
 # The zone that a harvester begins with: fruit and how it is seen, drawn or as it is asked for. Units: m, rad.
@@ -126,7 +125,7 @@ class Rules:
     motion_cost: Annotated[float, NUMBER.not_negative]
 
 
-load_rules = cache(partial(read_toml, Rules, SHIPPED, section="task"))
+load_rules = cache(partial(read_toml, Rules, PICKING_FILE, section="task"))
 """Read the rules of the task from their file; the result is cached."""
 
 

@@ -20,9 +20,21 @@ from pickenv.envs.shared.arm_env import GHOST_WORDS, standing, tool_dial
 from pickenv.envs.shared.backends import NUMPY, Flags, Rows
 from pickenv.envs.shared.simulation import length
 from pickenv.envs.shared.task import Task
-from pickenv.pictures.arm_shapes import Solids, arm_at_work, cup_solids, frustum_solids, hand_solids, joined_solids
+from pickenv.pictures.shapes import (
+    GREEN,
+    MISSED_FRUIT,
+    Solids,
+    arm_at_work,
+    crate,
+    cup_solids,
+    fruit_colours,
+    fruit_solids,
+    frustum_solids,
+    hand_solids,
+    joined_solids,
+    row_of_trees,
+)
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
-from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
 ABSENT = np.zeros((), pick_scene.FRUIT)
 """Record of an absent fruit, far away. Canopies with less fruit than the fullest one are filled up with it."""

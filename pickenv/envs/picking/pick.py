@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.arm import Scalar
 from pickenv.base import InputError
 from pickenv.envs.picking.canopies import Canopies, draw_pick
 from pickenv.envs.picking.pick_arm import TOOL, act_arm, look_at_arm, reach_of
 from pickenv.envs.picking.pick_scene import PICK_OPTIONS, PickScene, draw_starts, given_hours, make_pick, pick_spaces
 from pickenv.envs.shared.arm_env import ArmEnv, Information, Options
-from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.simulation import ArmState, begin
 from pickenv.envs.shared.spaces import given_options

@@ -9,14 +9,14 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Plant
+from pickenv.arm import Array, Plant, Scalar
 from pickenv.base import InputError
 from pickenv.envs.picking import pick_scene
 from pickenv.envs.picking.canopies import Canopies, draw_pick
 from pickenv.envs.picking.pick_arm import TOOL, act_arm, look_at_arm, reach_of
 from pickenv.envs.shared.arm_batch import NumpyArms
 from pickenv.envs.shared.arm_env import Information
-from pickenv.envs.shared.backends import Flags, Rows, Scalar, state_of_words, words_of_state
+from pickenv.envs.shared.backends import Flags, Rows, state_of_words, words_of_state
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.native_vector import NativeVectorEnv, set_spaces
 from pickenv.envs.shared.simulation import ArmState, begin

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Plant, leaves
+from pickenv.arm import Array, Plant, Scalar, leaves
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Words
-from pickenv.envs.shared.backends import GOAL, Rows, Scalar, episode_key, stream_key
+from pickenv.envs.shared.backends import GOAL, Rows, episode_key, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensators, Task
 
 

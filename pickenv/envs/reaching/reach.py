@@ -9,17 +9,25 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
-from pickenv.arm import IDEAL, Array, Frame, forward
+from pickenv.arm import IDEAL, Array, Frame, Scalar, forward
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, standing, tool_dial
-from pickenv.envs.shared.backends import GOAL, NUMPY, Scalar, episode_key, fresh_seed, seed_word, stream_key
+from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.spaces import action_space, flat_space, given_goals, given_options, goal_space
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, OF_TASKS, Task, checked_action, make_task, refuse_unknown
-from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_at_work, arm_look, cup_solids, joined_solids
+from pickenv.pictures.shapes import (
+    CUP_RADIUS,
+    arm_at_work,
+    arm_look,
+    cup_solids,
+    fruit_colours,
+    fruit_solids,
+    joined_solids,
+    sprig,
+)
 from pickenv.pictures.stage import SIZE, Stage, Words, fitted_eye
-from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
 # A reach as a stage to draw. Units: m; mm and degrees in words.
 

@@ -12,8 +12,8 @@ from pickenv.envs.reaching.reach import ReachEnv
 from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.envs.shared.arm_env import Information
 from pickenv.envs.shared.native_vector import set_spaces
-from pickenv.envs.shared.scaling import scaling_of
 from pickenv.envs.shared.simulation import View
+from pickenv.envs.shared.spaces import scaling_of
 from pickenv.envs.shared.task import make_tool_task
 
 

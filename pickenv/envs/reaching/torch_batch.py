@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Plant, plants_on
+from pickenv.arm import Array, Plant, Scalar, plants_on
 from pickenv.base import InputError
 from pickenv.envs.reaching.batch import Batch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Columns, Words, naming_effects
-from pickenv.envs.shared.backends import Flags, Rows, Scalar, torch_executor
+from pickenv.envs.shared.backends import Flags, Rows, torch_executor
 from pickenv.envs.shared.task import Compensators, Task, as_numbers, check_choice
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}

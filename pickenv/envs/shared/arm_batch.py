@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Plant, Scalars, arrays_of, plants_on
+from pickenv.arm import Array, Plant, Scalar, Scalars, arrays_of, plants_on
 from pickenv.base import InputError
-from pickenv.envs.shared.backends import NUMPY, Executor, Flags, Rows, Scalar
+from pickenv.envs.shared.backends import NUMPY, Executor, Flags, Rows
 from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.task import Compensators, Task, as_numbers, bounds_of, commanded, exact_plant

@@ -9,17 +9,17 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Geometry, Plant, Scalars, plant_at, plants_on
+from pickenv.arm import Array, Geometry, Plant, Scalar, Scalars, plant_at, plants_on
 from pickenv.base import InputError, is_there, require
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
+from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor
 from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import PlainSpec
 from pickenv.envs.shared.task import Compensate, Task, check_choice, exact_plant
-from pickenv.pictures import arm_shapes
+from pickenv.pictures import shapes
+from pickenv.pictures.shapes import ground_around, pedestal
 from pickenv.pictures.stage import Dial, Mesh, Pixels, Rgb, Stage, seen_along
-from pickenv.pictures.tree_shapes import ground_around, pedestal
 
 # What environments that can be drawn have in common: render modes, pictures, and the window that shows them.
 
@@ -222,7 +222,7 @@ class ArmEnv(DrawnEnv):
 
 
 MARK: Rgb = (0, 114, 178)
-GHOST_WORDS = f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}"
+GHOST_WORDS = f"ghost: the arm as believed, deviation × {shapes.GAIN}"
 
 
 def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:

@@ -1,7 +1,7 @@
 """The arithmetic that the simulation runs on: Python floats, NumPy arrays, torch tensors, or machine code.
 
 An executor bundles the functions that kinematics uses with the arithmetic of 64-bit integers modulo 2^64 for the random
-streams. `pickenv.arm.kinematics.backend` has the functions that math, NumPy and torch name differently. torch is
+streams. `pickenv.arm.kinematics.forward` has the functions that math, NumPy and torch name differently. torch is
 imported only when its executor is first used.
 """
 
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.forward import Scalar as Scalar
+from pickenv.arm import Scalar
 from pickenv.base import require
 
 Flags = NDArray[np.bool_]

@@ -33,7 +33,7 @@ from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE
 from pickenv.arm.plant.plant_file import class_of, draw_arms
 from pickenv.base import InputError, check_limit, shown
-from pickenv.base.texts import unknown
+from pickenv.base.files import unknown
 from pickenv.envs.shared.situation import Components, Situation, make_situation
 
 # Zeros and ones that cost nothing: an arm's table is full of right angles, and arrays need not be multiplied by them.

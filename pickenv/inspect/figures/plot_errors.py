@@ -28,9 +28,9 @@ from pickenv.base import InputError
 from pickenv.inspect.colours import RED, in_words, viridis
 from pickenv.inspect.figures import style
 from pickenv.inspect.runs import comparison_summary as summary
-from pickenv.inspect.runs.calibration_trace import ViewErrors
 from pickenv.inspect.runs.recorded_episodes import Comparison
-from pickenv.inspect.runs.saved import eye_direction, shown_box
+from pickenv.inspect.runs.run_folder import eye_direction, shown_box
+from pickenv.inspect.runs.traces import ViewErrors
 
 PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.85
 """Width of one panel, and height of the titles and the colour bar together, inches."""

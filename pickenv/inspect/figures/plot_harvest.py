@@ -16,7 +16,7 @@ from pickenv.base import InputError
 from pickenv.harvester import Measure
 from pickenv.inspect import colours
 from pickenv.inspect.figures import style
-from pickenv.inspect.runs.harvest_trace import PickedTree
+from pickenv.inspect.runs.traces import PickedTree
 
 (RED,) = style.rgb([colours.RED])
 

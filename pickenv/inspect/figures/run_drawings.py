@@ -17,9 +17,9 @@ from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANC
 from pickenv.inspect.colours import TEXTS
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.style import check_format, save_figure
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace, ViewErrors
-from pickenv.inspect.runs.matters import gripped, gripper_curves
+from pickenv.inspect.runs.comparison_summary import gripped, gripper_curves
 from pickenv.inspect.runs.recorded_episodes import Comparison
+from pickenv.inspect.runs.traces import CalibrationTrace, ViewErrors
 
 OF_LENGTHS = ("error_", "least_squares_convergence")
 """Beginnings of the names of figures that show errors in mm."""

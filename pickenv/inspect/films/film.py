@@ -23,9 +23,9 @@ from pickenv.base import InputError, require, write_whole
 from pickenv.inspect.colours import RED, in_words, policy_colours
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.run_folder import load_part, read_run
-from pickenv.pictures import arm_shapes, tree_shapes
-from pickenv.pictures.arm_shapes import Solids, arm_at_work, cup_solids, hand_solids, joined_solids
+from pickenv.pictures import shapes
 from pickenv.pictures.drawers import painted, strip
+from pickenv.pictures.shapes import Solids, arm_at_work, cup_solids, hand_solids, joined_solids
 from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words, fitted_eye, seen_along
 
 MOST_MOMENTS = 3.0
@@ -288,13 +288,13 @@ class Film:
         Films of reaches have no trees.
         """
         x, y, _ = self.points.mean(axis=0).tolist()
-        parts: tuple[Mesh, ...] = (tree_shapes.ground_around(x, y, self.ground, self.dark),)
+        parts: tuple[Mesh, ...] = (shapes.ground_around(x, y, self.ground, self.dark),)
         if self.episodes.nominal is not None:
-            parts += (tree_shapes.pedestal(self.episodes.nominal, self.ground),)
+            parts += (shapes.pedestal(self.episodes.nominal, self.ground),)
         if not self.reaching:
             fruit = np.concatenate(list(self.fruit.values()))
             low, high = fruit.min(axis=0) - AROUND, fruit.max(axis=0) + AROUND
-            parts += tree_shapes.row_of_trees(tuple(low.tolist()), tuple(high.tolist()), LEAVES, self.ground)
+            parts += shapes.row_of_trees(tuple(low.tolist()), tuple(high.tolist()), LEAVES, self.ground)
         return parts
 
 
@@ -316,7 +316,7 @@ def film_stage(film: Film, number: int, side: int) -> Stage:
         *(Words(line, large=True) for line in in_words(policy.label).replace(" + ", "\n+ ").splitlines()),
         Words(f"picked {caption.picked} of {caption.tried}"),
         Words(f"{caption.distance_mm:.1f} mm to the fruit", "top right"),
-        Words(f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}", "bottom left"),
+        Words(f"ghost: the arm as believed, deviation × {shapes.GAIN}", "bottom left"),
         *_missed(film, side, episode, now),
     )
     label = "no grasp yet" if caption.miss_mm is None else f"miss {caption.miss_mm:.1f} mm"
@@ -338,7 +338,7 @@ def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, 
     """
     tool, axis = policy.tool_position[episode, moment], tool_axis(policy, episode, moment)
     closed = bool(np.isfinite(policy.miss_mm[episode, : moment + 1]).any())
-    radius = arm_shapes.CUP_RADIUS
+    radius = shapes.CUP_RADIUS
     gripper = hand_solids(tool, axis, radius, closed) if "hand" in episodes.gripper else cup_solids(tool, axis, radius)
     if episodes.nominal is None:
         return gripper
@@ -369,12 +369,12 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
             places[number], in_cup[number] = track[now], taken and now >= close
         present[number] = not (taken and now >= end + film.reaching)  # a reach ends in the cup
         missed[number] = not taken and now >= close
-    colours = tree_shapes.fruit_colours(len(places))
-    colours[missed] = tree_shapes.MISSED_FRUIT
+    colours = shapes.fruit_colours(len(places))
+    colours[missed] = shapes.MISSED_FRUIT
     return joined_solids(
-        tree_shapes.fruit_solids(places[present], FRUIT, colours[present], ~in_cup[present]),
-        tree_shapes.crate(film.eye, HALF, picked, FRUIT, film.ground),
-        *(tree_shapes.sprig(place, FRUIT) for place in film.fruit[episode][: film.reaching]),
+        shapes.fruit_solids(places[present], FRUIT, colours[present], ~in_cup[present]),
+        shapes.crate(film.eye, HALF, picked, FRUIT, film.ground),
+        *(shapes.sprig(place, FRUIT) for place in film.fruit[episode][: film.reaching]),
     )
 
 

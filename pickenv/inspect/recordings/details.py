@@ -28,7 +28,7 @@ from pickenv.inspect.recordings.scribe import Scribe, f32
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.comparison_summary import GAIN
 from pickenv.inspect.runs.recorded_episodes import Comparison
-from pickenv.inspect.runs.saved import cut_away
+from pickenv.inspect.runs.run_folder import cut_away
 
 # What a recording holds besides fields and reaches: effects, attitude, uncertainty, a day, the arms as URDF.
 

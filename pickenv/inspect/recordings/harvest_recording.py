@@ -17,9 +17,8 @@ from pickenv.arm import Array
 from pickenv.base import InputError
 from pickenv.harvester import Harvest, Machine
 from pickenv.harvester.harvest_run import Round
-from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import master_time, profile
-from pickenv.harvester.work import slave_joints_at
+from pickenv.harvester.work import arm_distances, slave_joints_at
 from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL, Rgb, arm_colour
 from pickenv.inspect.recordings.scribe import Scribe, f32, layout, seen_from, view_of, write_recording
 

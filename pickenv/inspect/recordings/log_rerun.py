@@ -17,8 +17,8 @@ import pickenv
 from pickenv.base import InputError
 from pickenv.inspect.colours import check_key, policy_colours, policy_label
 from pickenv.inspect.recordings import episode_entities as entities
-from pickenv.inspect.recordings.live import PATIENCE, open_live
 from pickenv.inspect.recordings.scribe import write_recording
+from pickenv.inspect.recordings.viewing import PATIENCE, open_live
 from pickenv.inspect.runs.recorded_episodes import believed_joints, missing_positions
 
 Observation = TypeVar("Observation")

@@ -20,7 +20,7 @@ from pickenv.inspect.recordings import episode_entities as entities
 from pickenv.inspect.recordings.scribe import Scribe, seen_from, view_of, with_colour_bar, write_recording
 from pickenv.inspect.runs.comparison_summary import GAIN, comparison_markdown, error_spread, field_mm, scale_end
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
-from pickenv.inspect.runs.saved import shown_box
+from pickenv.inspect.runs.run_folder import shown_box
 
 SIDEWAYS = np.array([0.8, 0.6, 0.0])
 """Direction to the scene of the next policy: to the right as the camera sees it."""

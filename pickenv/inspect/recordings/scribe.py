@@ -18,7 +18,7 @@ from pickenv.arm import Array
 from pickenv.base import InputError, versions, write_whole
 from pickenv.inspect.colours import RED, WHITE, Rgb, as_sentence, in_words, viridis
 from pickenv.inspect.runs.comparison_summary import ticks
-from pickenv.inspect.runs.saved import capsules
+from pickenv.inspect.runs.run_folder import capsules
 
 APPLICATION_ID = "pickenv"
 BASE_RADIUS, TOOL_RADIUS = 0.030, 0.012

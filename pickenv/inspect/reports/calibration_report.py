@@ -17,15 +17,14 @@ from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import SIGMAS, has_moved
-from pickenv.inspect.colours import TEXTS, in_words
+from pickenv.inspect.colours import TEXTS, in_words, named_values, parameter_words
 from pickenv.inspect.figures.plot_calibration import joint_coverage, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
 from pickenv.inspect.reports.report_page import Bar, PageTable, PageVerdict, Section, axis_table, html_of
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace, views_of
-from pickenv.inspect.runs.matters import matters, pick_changes
-from pickenv.inspect.runs.number_words import named_values, parameter_words
+from pickenv.inspect.runs.comparison_summary import matters, pick_changes
 from pickenv.inspect.runs.run_folder import REPORT, Run, TakePicture, load_part, unedited
+from pickenv.inspect.runs.traces import CalibrationTrace, views_of
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
 FURTHER = ("set_ups", "pictures", "uncertainty", "left_out", "terms", "stiffnesses", "harmonics", "residual_models")

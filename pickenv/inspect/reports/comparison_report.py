@@ -10,7 +10,7 @@ from pickenv.inspect.figures.plot_errors import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs import comparison_summary as summary
-from pickenv.inspect.runs.matters import change_cells
+from pickenv.inspect.runs.comparison_summary import change_cells
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 

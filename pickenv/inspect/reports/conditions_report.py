@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pickenv.inspect.colours import as_sentence, in_words
-from pickenv.inspect.figures import plot_estimates
+from pickenv.inspect.colours import as_sentence, in_words, said
+from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.run_folder import CONDITIONS, Run, TakePicture, load_result
 
 SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}
@@ -21,7 +20,7 @@ HELD_OUT = "held-out sessions"
 def drawings(run: Run) -> Drawings:
     """Return the figure of a study of conditions."""
     sweeps = load_result(run, CONDITIONS)["sweeps"]
-    return [captioned("error_by_condition", plot_estimates.error_by_condition, sweeps, SWEEPS)]
+    return [captioned("error_by_condition", plot_policies.error_by_condition, sweeps, SWEEPS)]
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:

@@ -15,19 +15,26 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, noncompensable_error
 from pickenv.base import InputError, command_line, mean_interval, share_interval
 from pickenv.calibration import Calibration
-from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
-from pickenv.inspect.colours import TEXTS, in_words, policy_colours, viridis
+from pickenv.calibration.assessment.screen import LEAST_ROWS, error_statistics
+from pickenv.inspect.colours import TEXTS, between, in_words, named_values, policy_colours, said, viridis
 from pickenv.inspect.figures.plot_errors import field_gain, thinned
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports.report_page import HERE, PageTable, PageVerdict, Section, axis_table, html_of
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
-from pickenv.inspect.runs.matters import Change, change_cells, gripped, matters, pick_changes
-from pickenv.inspect.runs.number_words import between, named_values, said
+from pickenv.inspect.runs.comparison_summary import (
+    Change,
+    change_cells,
+    colour_scale_mm,
+    error_spread,
+    field_mm,
+    gripped,
+    matters,
+    pick_changes,
+    round_step,
+)
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
-from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, load_part, load_result
-from pickenv.inspect.runs.saved import eye_direction
+from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, eye_direction, load_part, load_result
+from pickenv.inspect.runs.traces import CalibrationTrace
 
 RECORDING = "errors.rrd"
 RECORDING_WORDS = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."

@@ -5,13 +5,12 @@ from __future__ import annotations
 from pickenv.base.intervals import LEAST
 from pickenv.harvester import Measure
 from pickenv.harvester.machine import dense_workspace
-from pickenv.inspect.colours import TEXTS
+from pickenv.inspect.colours import TEXTS, said
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.runs.harvest_trace import HarvestTrace
-from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
+from pickenv.inspect.runs.traces import HarvestTrace
 
 MEASURES = TEXTS["measures"]
 """Description and unit of each measure, by the measure's key."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from pickenv.inspect.colours import in_words
+from pickenv.inspect.colours import in_words, said
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.run_folder import ISO9283, Run, TakePicture, load_result
 
 CONTROLLERS = ("raw", "calibrated")

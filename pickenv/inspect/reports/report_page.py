@@ -23,10 +23,9 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from pickenv.calibration.assessment.screen import is_number
-from pickenv.inspect.colours import in_words
+from pickenv.inspect.colours import in_words, named_values
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import THEME, style
-from pickenv.inspect.runs.number_words import named_values
 from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
 PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1

@@ -21,9 +21,8 @@ from pickenv.base import InputError, seed_words, stream
 from pickenv.base.registry import names
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.inspect import Comparison, Reaches, ended, field_grid, matters, pick_changes
-from pickenv.inspect.runs import matters as matters_module
-from pickenv.inspect.runs.comparison_summary import stage_label
-from pickenv.inspect.runs.matters import PERCEPTION_MM, change_cells, pick_share
+from pickenv.inspect.runs import comparison_summary as matters_module
+from pickenv.inspect.runs.comparison_summary import PERCEPTION_MM, change_cells, pick_share, stage_label
 from pickenv.orchard import load_gripper
 
 

@@ -31,7 +31,7 @@ from pickenv.calibration import random_joints
 from pickenv.commands.plants import effects as effects_command
 from pickenv.experiments.study import deviations
 from pickenv.experiments.study_variance import tolerance_groups
-from pickenv.inspect.runs.saved import load_numbers, save_numbers
+from pickenv.inspect.runs.run_folder import load_numbers, save_numbers
 
 MEDIUM = load_tolerances("medium")
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from pickenv.arm.kinematics.backend import outside
+from pickenv.arm.kinematics.forward import outside
 from pickenv.arm.kinematics.machine_code import (
     DOUBLE,
     FLAG,

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose, displace_pose, frame_error, frame_of, pose_error, rotation_between, rotation_matrix
-from pickenv.arm.kinematics.pose_error import SMALL_SINE, displaced_frame, small_rotation
+from pickenv.arm.kinematics.task_space import SMALL_SINE, displaced_frame, small_rotation
 
 RNG = np.random.default_rng(6)
 AXES = [*np.eye(3), [1, 1, 0], [0, 1, -1], [-1, 0, 1], [1, 2, 3], [3, -1, 2], [-2, 3, 1], *RNG.normal(size=(10, 3))]

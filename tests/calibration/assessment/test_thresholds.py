@@ -26,7 +26,7 @@ from pickenv.calibration.assessment.quality import (
 )
 from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.prior import FRAMES, MADE, ZEROS
+from pickenv.calibration.model.noise_and_priors import FRAMES, MADE, ZEROS
 
 JUST = 1e-9
 

@@ -29,7 +29,7 @@ from pickenv.calibration import (
     simulated_tracker,
     start_filter,
 )
-from pickenv.calibration.identification.extended_kalman_filter import FilterState, predict, update
+from pickenv.calibration.identification.solve import FilterState, predict, update
 from pickenv.calibration.pipeline.calibration import PoseUncertainty
 
 CAMERA = MeasurementNoise(3e-3, float(np.radians(0.5)))

@@ -8,8 +8,7 @@ import pytest
 from pickenv.arm import Plant, draw_plants, forward, load_arm, load_tolerances, plant_at, rotation_matrix
 from pickenv.calibration import complete_model, identify, prior_model, random_joints, simulated_tracker
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.noise import stated_noise
-from pickenv.calibration.model.prior import ANGLES, LENGTHS, ZEROS
+from pickenv.calibration.model.noise_and_priors import ANGLES, LENGTHS, ZEROS, stated_noise
 from pickenv.calibration.pipeline.calibration import PoseUncertainty
 
 ARM = load_arm("ur5")

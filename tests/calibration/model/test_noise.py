@@ -8,7 +8,15 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import ArmModel, Measurements, random_joints
-from pickenv.calibration.model.noise import ALIKE, FREE, RowNoise, counted, neighbours, noise_of, stated_noise
+from pickenv.calibration.model.noise_and_priors import (
+    ALIKE,
+    FREE,
+    RowNoise,
+    counted,
+    neighbours,
+    noise_of,
+    stated_noise,
+)
 
 UR5 = load_arm("ur5").nominal
 ARM = ArmModel.of(UR5)

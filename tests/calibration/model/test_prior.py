@@ -6,7 +6,7 @@ import pytest
 from pickenv.arm import draw_plants, load_arm, load_plant, load_tolerances, standard_deviations
 from pickenv.base import InputError
 from pickenv.calibration import prior_model
-from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, ZEROS
+from pickenv.calibration.model.noise_and_priors import ANGLES, FRAMES, LENGTHS, ZEROS
 
 UR5 = load_arm("ur5").nominal
 

@@ -13,7 +13,7 @@ import pytest
 from pickenv.arm import load_plant
 from pickenv.base.registry import names
 from pickenv.calibration import load_description, random_joints, read_measurements, simulated_tracker
-from pickenv.calibration.reading.csv_table import CONVENTIONS
+from pickenv.calibration.reading.table_files import CONVENTIONS
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs/calibrating-a-robot.md").read_text(encoding="utf-8")

@@ -27,7 +27,7 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.assessment.instrument import said_of_instruments, with_zeros_fitted
 from pickenv.calibration.identification.robust import rough_start, stations_of
-from pickenv.commands.calibrate import write_run
+from pickenv.commands.corrections import write_run
 from pickenv.inspect import drawings_of, read_run
 from tests.calibration.simulated_instruments import (
     ANGLE_STD,

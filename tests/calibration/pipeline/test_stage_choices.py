@@ -19,7 +19,7 @@ from pickenv.calibration import (
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.pipeline import stages
-from pickenv.calibration.residuals.gate import AUTO as OURS
+from pickenv.calibration.residuals.residual_models import AUTO as OURS
 
 AUTO = Choices(frames="known", residual="auto", terms="auto", seed=5)
 

@@ -44,8 +44,7 @@ from pickenv.calibration import (
     twin,
     verify,
 )
-from pickenv.calibration.assessment.metrics import block_interval
-from pickenv.calibration.assessment.screen import figure
+from pickenv.calibration.assessment.screen import block_interval, figure
 from pickenv.calibration.pipeline.calibration import MEASURED_REGION
 from pickenv.calibration.pipeline.verification import Verification, _starts, restationed
 from pickenv.cli import app

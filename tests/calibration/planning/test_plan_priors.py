@@ -15,8 +15,7 @@ from pickenv.base import InputError
 from pickenv.calibration import Choices, Measurements, plan_like, plan_poses, prior_model, random_joints
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.noise import stated_noise
-from pickenv.calibration.model.prior import PriorModel
+from pickenv.calibration.model.noise_and_priors import PriorModel, stated_noise
 from pickenv.calibration.planning.like import first_rows
 from pickenv.calibration.planning.plan import PosePlan
 from pickenv.cli import app

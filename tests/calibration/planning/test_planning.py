@@ -25,8 +25,7 @@ from pickenv.calibration import (
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.least_squares import observability
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.noise import stated_noise
-from pickenv.calibration.model.prior import MADE
+from pickenv.calibration.model.noise_and_priors import MADE, stated_noise
 from pickenv.calibration.planning.plan import (
     candidate_joints,
     design_of,

@@ -9,7 +9,7 @@ import pytest
 
 from pickenv.base import InputError
 from pickenv.calibration.planning.plan import move_seconds, short_tour, travel_seconds
-from pickenv.calibration.reading.csv_table import expression_tree, read_table, refuse_repeated
+from pickenv.calibration.reading.table_files import expression_tree, read_table, refuse_repeated
 
 ROWS = "a,b,c\n1.5,2.5,3.5\n4.5,5.5,6.5\n"
 

@@ -18,8 +18,7 @@ from pickenv.calibration import (
     gate_residuals,
     identify,
 )
-from pickenv.calibration.residuals.gate import selected, verdicts_record
-from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS
+from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, selected, verdicts_record
 
 
 class Nearest:

@@ -6,7 +6,7 @@ import pytest
 from pickenv.arm import Geometry, Pose, displace_pose, forward
 from pickenv.base import InputError
 from pickenv.calibration import Conditions, GateVerdict, Measurements, blocked_split, gate_residuals
-from pickenv.calibration.residuals.gate import selected, verdicts_record
+from pickenv.calibration.residuals.residual_models import selected, verdicts_record
 
 ROWS = 100
 

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from pickenv.calibration import Choices, calibrate
-from pickenv.commands.calibrate import write_run
+from pickenv.commands.corrections import write_run
 from pickenv.experiments import SETS, PolicySettings, load_study, run_policies, run_study, write_outputs
 from pickenv.experiments.policy_tables import evaluation_drawings
 from pickenv.experiments.robots import learnable

@@ -32,7 +32,7 @@ from pickenv.inspect.colours import arm_colour, in_words, policy_colours, viridi
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.plot_errors import field_gain, round_down, thinned
 from pickenv.inspect.figures.style import WIDTH
-from pickenv.inspect.runs.saved import eye_direction, shown_box
+from pickenv.inspect.runs.run_folder import eye_direction, shown_box
 
 RNG = np.random.default_rng(17)
 ERRORS = {"raw": RNG.gamma(4, 1.5, 37), "LS": RNG.gamma(4, 0.15, 50), "LS + BPNN": RNG.gamma(2, 0.1, 44)}

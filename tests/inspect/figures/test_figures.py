@@ -27,7 +27,7 @@ from pickenv.inspect import (
 )
 from pickenv.inspect.colours import ORANGE, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
-from pickenv.inspect.figures.plot_estimates import METHODS
+from pickenv.inspect.figures.plot_policies import METHODS
 from pickenv.inspect.figures.style import INK, PIXELS_PER_INCH, WIDTH, change, style
 from tests.inspect.figures.figure_lint import figure_faults
 

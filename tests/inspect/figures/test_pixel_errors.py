@@ -27,8 +27,8 @@ from pickenv.inspect import (
 )
 from pickenv.inspect.colours import viridis
 from pickenv.inspect.figures.plot_errors import MOST_VIEWS, faint_picture
-from pickenv.inspect.runs.calibration_trace import views_of
-from pickenv.inspect.runs.saved import load_numbers, save_numbers
+from pickenv.inspect.runs.run_folder import load_numbers, save_numbers
+from pickenv.inspect.runs.traces import views_of
 
 VIEWS, SIZE = 11, (640, 480)
 

@@ -27,8 +27,8 @@ from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, Rgb, in_w
 from pickenv.inspect.figures import plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.plot_errors import field_gain
 from pickenv.inspect.figures.style import INK
-from pickenv.inspect.runs.calibration_trace import ViewErrors
-from pickenv.inspect.runs.saved import eye_direction, shown_box
+from pickenv.inspect.runs.run_folder import eye_direction, shown_box
+from pickenv.inspect.runs.traces import ViewErrors
 
 RNG = np.random.default_rng(29)
 

@@ -26,7 +26,7 @@ from pickenv.inspect.films.film import (
     plan_film,
     write_film,
 )
-from pickenv.pictures.arm_shapes import GAIN
+from pickenv.pictures.shapes import GAIN
 
 ARM = load_plant("qiao2026").arm.nominal
 PLANT = dataclasses.replace(load_plant("qiao2026"), name="orchard")

@@ -25,9 +25,8 @@ from pickenv.inspect.films.film import (
     seen_along,
     tool_axis,
 )
-from pickenv.pictures.arm_shapes import GAIN, hand_solids
+from pickenv.pictures.shapes import GAIN, MISSED_FRUIT, RIPE, hand_solids, sprig
 from pickenv.pictures.stage import Eye
-from pickenv.pictures.tree_shapes import MISSED_FRUIT, RIPE, sprig
 
 A, B, C = [0.5, 0.0, 0.3], [0.5, 0.2, 0.3], [0.3, 0.1, 0.6]
 OFF = np.array([0.002, 0.003, 0.001])

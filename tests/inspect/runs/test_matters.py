@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.inspect import matters, pick_changes
-from pickenv.inspect.runs.matters import MATTERS, PERCEPTION_MM, pick_share
+from pickenv.inspect.runs.comparison_summary import MATTERS, PERCEPTION_MM, pick_share
 from pickenv.orchard import Cup, capture_probability, load_gripper
 
 

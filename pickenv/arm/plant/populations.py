@@ -1,9 +1,12 @@
-"""Twins, that is plants made from a calibration's posterior distribution, and their files (.npz with a checksum).
+"""Populations of arms: random draws of true arms, by a tolerance class or from a calibration's posterior (twins).
 
-A twin is the identified arm; arms can also be drawn from the posterior. The identified base and tool are transformed
+A tolerance class says how widely arms of one design differ. Lengths follow ISO 286-1: IT = k (0.45 D^(1/3) + 0.001 D)
+um up to 500 mm, k (0.004 D + 2.1) um above, with D in mm. Sizes of effects are log-normal about the plant's own.
+
+A twin is the identified arm as a plant, in a file (.npz with a checksum). The identified base and tool are transformed
 from the instrument's frame into the arm's own frame: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own, with the
 nominal arm's B_own and T_own. The arm's errors relative to its nominal geometry are then those that were measured
-relative to the aligned nominal geometry. SI units.
+relative to the aligned nominal geometry. Objects have m, rad, K, s.
 """
 
 from __future__ import annotations
@@ -12,20 +15,255 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.effects.drives import GravityYield, MeasurementNoise
-from pickenv.arm.effects.effect import Effect
+from pickenv.arm.effects.effect import Draws, Effect, standard_normal_of
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.effects.structure import Harmonic, TransmissionError
 from pickenv.arm.files.arm import Arm, finite, geometry_arrays, geometry_from_arrays
+from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose, behind, inverse_pose
 from pickenv.arm.plant.plant import Layout, Plant, Posterior
-from pickenv.base import InputError, read_container, refusing_damage, write_container
+from pickenv.base import InputError, read_container, refusing_damage, toml_tables, write_container
 from pickenv.base.container import named_part, part_of
+
+TOLERANCES = Path(__file__).parent / "tolerance_classes"
+
+GRADES = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 14: 400, 15: 640, 16: 1000, 17: 1600}
+"""Tolerance of each IT grade in units of the standard tolerance factor i (ISO 286-1, table 1)."""
+
+SPARE = 64
+"""Number of periodic drive errors for which columns of random numbers are reserved.
+
+The columns after them thus keep their places if a plant gets more periodic errors.
+"""
+
+GRADE = toml_tables.WHOLE.within(min(GRADES), max(GRADES))
+LogSize = Annotated[float, toml_tables.NUMBER.not_negative]
+
+
+@toml_tables.toml_table
+class SpreadTable:
+    """The table [spread] of a tolerance file: the standard deviation of the logarithm of each size, 0 by default."""
+
+    joint_stiffness: LogSize = 0.0
+    flexural_rigidity: LogSize = 0.0
+    transmission_error: LogSize = 0.0
+    roller_clearance: LogSize = 0.0
+    backlash: LogSize = 0.0
+    friction: LogSize = 0.0
+    warm_up_time: LogSize = 0.0
+    ground_stiffness: LogSize = 0.0
+    sinkage: LogSize = 0.0
+    frequency: LogSize = 0.0
+    damping: LogSize = 0.0
+
+
+@toml_tables.toml_table
+class SizesTable:
+    """The table [sizes] of a tolerance file: the sizes of the effects for an arm that has no plant file.
+
+    Attributes:
+        turning_sag: Deflection of a revolute joint under the arm's own weight in the pose of its largest torque, rad.
+        sliding_sag: Deflection of a slide under the arm's own weight in the pose of its largest force, m.
+        turning_gap: Backlash of a revolute joint, rad.
+        sliding_gap: Backlash of a slide, m.
+        preload_share: Gravity torque, as a share of the joint's largest, above which the joint always rests on the
+            same side of its backlash.
+        expansion: Coefficient of linear expansion of the links, 1/K.
+        warm_up: Time constant of the warm-up, s.
+    """
+
+    turning_sag: Annotated[float, toml_tables.ARCMIN.positive]
+    sliding_sag: Annotated[float, toml_tables.UM.positive]
+    turning_gap: Annotated[float, toml_tables.ARCMIN.not_negative]
+    sliding_gap: Annotated[float, toml_tables.UM.not_negative]
+    preload_share: Annotated[float, toml_tables.SHARE]
+    expansion: Annotated[float, toml_tables.Unit("um_per_m_K", 1e-6).not_negative]
+    warm_up: Annotated[float, toml_tables.HOURS.positive]
+
+
+@toml_tables.toml_table
+class Tolerances:
+    """A tolerance class: how widely arms of one design differ. It is read from a tolerance file.
+
+    Attributes:
+        name: Name of the class.
+        it_grade: ISO 286-1 grade of the lengths a and d. Deviations are within plus or minus half the tolerance.
+        least_length: Length, m, whose tolerance shorter lengths have too: even at a = 0, a part's seat has a tolerance.
+        angle: Half-width of the tolerance zone of the assembly angles alpha and theta, rad.
+        distribution: ``uniform`` over the tolerance zone, or ``normal`` with the zone's edges at three standard
+            deviations.
+        spread: Standard deviation of the logarithm of each size (0.1 is about 10 %).
+        temperature_rise: Range of the warm arm's temperature rise, K; draws are uniform in it.
+        sizes: Sizes of the effects for an arm that has no plant file, or None.
+    """
+
+    name: str
+    it_grade: Annotated[int, GRADE, toml_tables.Key(section="lengths")]
+    least_length: Annotated[float, toml_tables.MM.positive, toml_tables.Key(section="lengths")]
+    angle: Annotated[float, toml_tables.DEG.not_negative, toml_tables.Key("half_width_deg", "angles")]
+    distribution: Annotated[Literal["uniform", "normal"], toml_tables.Key(section="lengths")]
+    spread: SpreadTable
+    temperature_rise: Annotated[
+        tuple[float, float], toml_tables.KELVIN, toml_tables.IN_ORDER, toml_tables.Key("rise_K", "temperature")
+    ]
+    sizes: SizesTable | None = None
+
+
+def it_tolerance(grade: int, length: Array | float) -> Array:
+    """Return the width of the tolerance zone of ISO 286-1, m, for an IT grade (5 to 17) and lengths in m."""
+    millimetres = np.abs(np.asarray(length, dtype=float)) * 1e3
+    small, large = 0.45 * np.cbrt(millimetres) + 0.001 * millimetres, 0.004 * millimetres + 2.1
+    return np.asarray(GRADES[grade] * 1e-6 * np.where(millimetres <= 500.0, small, large))
+
+
+def shipped_tolerances() -> list[str]:
+    """Return the names of the tolerance classes that come with pickenv."""
+    return toml_tables.shipped_in(TOLERANCES)
+
+
+def load_tolerances(name: str | Path) -> Tolerances:
+    """Read a tolerance class by its name, or from a TOML file by its path.
+
+    Raises:
+        InputError: If the class is unknown or a number is outside its limits; the message names the file and the key.
+    """
+    return toml_tables.read_toml(Tolerances, toml_tables.file_named("tolerance class", name, TOLERANCES))
+
+
+def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:
+    """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
+
+    Link parameters are drawn about the nominal geometry, effect sizes about those of ``plant``. Arm i has its own
+    random stream, child i (from 0) of ``rng``. The arm therefore does not depend on ``count``. Its numbers do not
+    depend on which effects are on, either; only effects with random numbers of their own take numbers at the end of the
+    stream.
+
+    If the plant was made from a calibration, the arms are drawn from the calibration's posterior distribution. The
+    parameters that its data do not identify are drawn within their tolerances about the identified values.
+
+    Args:
+        plant: The design (a simulated true arm), or the twin of a calibrated arm; a single arm.
+        tolerances: The tolerance class of the design's arms. For a calibrated arm it only applies to the parameters
+            that were not identified.
+        count: Number of arms N, at least 1.
+        rng: Parent of the arms' random streams.
+
+    Returns:
+        A plant with link parameters ``(N, n)`` and effect numbers ``(N,)``; `pickenv.arm.plant.plant.plant_at`
+        selects one arm.
+
+    Raises:
+        InputError: If ``count`` is below 1 or ``plant`` is already a batch of arms.
+    """
+    if count < 1:
+        raise InputError(f"count is {count}; draw at least one arm")
+    if plant.geometry.alpha.ndim != 1:
+        raise InputError(f"plant '{plant.name}' is already a batch of arms; draw from a single one")
+    if plant.posterior is not None:
+        half = half_widths(tolerances, plant.arm.nominal)[plant.posterior.unseen]
+        return twin_arms(plant, lambda even: half * _deviation(tolerances, even), rng.spawn(count))
+    total = max(columns.stop for columns in random_columns(plant).values())
+    return plants_from(plant, tolerances, np.stack([child.random(total) for child in rng.spawn(count)]))
+
+
+def erring_by(plant: Plant, size: float, joints: Array) -> Plant:
+    """Return the arm with its geometric errors scaled by one factor, so that its mean tool position error is ``size``.
+
+    Args:
+        plant: The true arm, a single one. Only its geometry is used; the returned plant has no effects.
+        size: Mean distance between the tool's true and nominal position, m.
+        joints: Joints over which the mean is taken ``(..., n)``, rad or m.
+
+    Raises:
+        InputError: If the true geometry is the nominal one, so that there is no error to scale.
+    """
+    nominal = plant.arm.nominal
+    delta, ideal = nominal.difference(plant.geometry), forward(nominal, joints).position
+    for _ in range(4 if size else 0):  # errors are nearly linear in the deviations
+        error = np.linalg.norm(forward(nominal.displaced(delta), joints).position - ideal, axis=-1).mean()
+        if not error:
+            raise InputError(
+                f"plant '{plant.name}' has no error of its parts; give one of a class, 'coarse:{plant.arm.name}'"
+            )
+        delta = delta * (size / error)
+    return replace(plant, geometry=nominal.displaced(delta) if size else nominal, effects=())
+
+
+def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
+    """Compute true arms from uniform random numbers, as one plant whose numbers are arrays.
+
+    Args:
+        plant: The design, a single arm.
+        tolerances: The tolerance class of the design's arms.
+        even: Uniform random numbers from 0 to 1 ``(N, K)``, one row per arm. `random_columns` says which of the K
+            columns determine which quantity.
+    """
+    columns = {key: even[:, places.start : places.stop] for key, places in random_columns(plant).items()}
+    draws = Draws(columns, tolerances.spread, tolerances.temperature_rise)
+    effects = tuple(effect.drawn(draws) for effect in plant.effects)
+    return replace(plant, geometry=_geometry(plant.arm.nominal, tolerances, columns["geometry"]), effects=effects)
+
+
+def random_columns(plant: Plant) -> dict[str, range]:
+    """Return, by the name of each random quantity, its columns (from 0) in the uniform random numbers of `plants_from`.
+
+    Most quantities have the same columns whatever effects the plant has. Quantities whose number of columns depends on
+    the effects have the last columns.
+    """
+    n, drives, waves = plant.arm.nominal.joints, plant.effect("transmission_error"), plant.effect("drive_harmonics")
+    terms = len(drives.harmonics) if drives is not None else 0
+    count, structure = len(waves.spread) if waves is not None else 0, plant.effect("local_structure")
+    sizes = {"geometry": 4 * n, "temperature_rise": 1}
+    sizes |= {"joint_stiffness": n, "backlash": n, "friction": 2 * n, "frequency": n, "damping": n}
+    sizes |= {"ground_stiffness": 2, "sinkage": 2, "flexural_rigidity": 1, "roller_clearance": 1, "warm_up_time": 1}
+    sizes |= {"lead": n, "transmission_error": terms, "phase": terms, "kept free": 2 * max(SPARE - terms, 0)}
+    sizes |= {"bearing_stiffness": n, "drive_harmonics": 3 * count, "kept free too": 3 * max(SPARE - count, 0)}
+    # Last come those whose number depends on the plant.
+    sizes |= {"local_structure": structure.weights if structure is not None else 0}
+    sizes |= {f"own {effect.name}": len(effect.own_sizes()) for effect in plant.effects if effect.own_sizes()}
+    edges = np.cumsum([0, *sizes.values()]).tolist()
+    return {key: range(a, b) for key, a, b in zip(sizes, edges, edges[1:], strict=False)}
+
+
+def _deviation(tolerances: Tolerances, even: Array) -> Array:
+    """Return deviations as shares of the half-width of the tolerance zone, from uniform random numbers 0 to 1.
+
+    Deviations are from -1 to 1 for a uniform distribution. For a normal distribution, the zone's edges -1 and 1 are at
+    three standard deviations.
+    """
+    return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else standard_normal_of(even) / 3.0
+
+
+def half_widths(tolerances: Tolerances, nominal: Geometry) -> Array:
+    """Return the half-widths of the tolerance zones of a geometry's parameters ``(5n + 12,)``, m and rad.
+
+    Positions of base and tool have the half-width that belongs to ``least_length``.
+    """
+    lengths = np.concatenate([*(getattr(nominal, name) for name in LINK_PARAMETERS), np.zeros(12)])
+    zone = it_tolerance(tolerances.it_grade, np.maximum(np.abs(lengths), tolerances.least_length))
+    return np.where(nominal.parameter_is_angle, tolerances.angle, zone / 2.0)
+
+
+def standard_deviations(tolerances: Tolerances, nominal: Geometry) -> Array:
+    """Return the standard deviations of a geometry's parameters ``(5n + 12,)`` over arms of the class, m and rad."""
+    return half_widths(tolerances, nominal) / (math.sqrt(3.0) if tolerances.distribution == "uniform" else 3.0)
+
+
+def _geometry(nominal: Geometry, tolerances: Tolerances, even: Array) -> Geometry:
+    n = nominal.joints
+    deviation = _deviation(tolerances, even)
+    half = dict(zip(LINK_PARAMETERS, half_widths(tolerances, nominal)[: 5 * n].reshape(5, n), strict=True))
+    numbers: dict[str, Any] = {name: np.tile(getattr(nominal, name), (len(even), 1)) for name in LINK_PARAMETERS}
+    for k, name in enumerate(("alpha", "a", "theta", "d")):
+        numbers[name] = numbers[name] + half[name] * deviation[:, k * n : (k + 1) * n]
+    return replace(nominal, **numbers)
+
 
 Zone = Callable[[Array], Array]
 """A function from uniform random numbers from 0 to 1, one per unidentified parameter, to deviations, m or rad."""

@@ -1,4 +1,4 @@
-"""Open finished recordings in the native viewer, a browser or a running viewer, or serve them to other viewers."""
+"""Show recordings, live or finished: in a viewer started here, a browser or a running viewer, or from a server here."""
 
 from __future__ import annotations
 
@@ -18,13 +18,163 @@ from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 import rerun as rr
+import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
-from pickenv.base import InputError, command_line
-from pickenv.inspect.recordings import live
+from pickenv.base import InputError, command_line, command_words
+
+VIEWER_PORT = 9876
+"""Port at which rerun's viewer listens by default."""
+VIEWER_MEMORY = "2GiB"
+"""Memory limit of a viewer, beyond which it forgets the oldest steps."""
+PATIENCE = 5.0
+"""Time to wait for an answer from a running viewer, s."""
+START_PATIENCE = 30.0
+"""Time to wait for a viewer to start, s."""
+LOCAL = "127.0.0.1"
+
+
+def open_live(
+    recording_id: str,
+    blueprint: rrb.Blueprint,
+    *,
+    spawn: bool = False,
+    connect: str | None = None,
+    serve: int | None = None,
+) -> rr.RecordingStream:
+    """Open a stream to viewers that show a recording while it grows.
+
+    ``spawn``, ``connect`` and ``serve`` may be combined.
+
+    Args:
+        recording_id: Identity of the recording. A viewer shows recordings of one identity as one.
+        blueprint: The layout.
+        spawn: Whether to start a viewer on this machine, unless one runs already, and show the recording in it.
+        connect: Address of a viewer or proxy, as `rerun` prints it: `rerun+http://127.0.0.1:9876/proxy`.
+        serve: Port of a server on this machine, to which viewers can connect; None for no server.
+
+    Raises:
+        InputError: If there is no screen for a viewer, or no viewer answers at the address.
+    """
+    from pickenv.inspect.recordings.scribe import APPLICATION_ID
+
+    stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
+    sinks: list[rr.GrpcSink | rr.GrpcServerSink] = []
+    if spawn:
+        _start_viewer()
+        sinks.append(rr.GrpcSink(f"rerun+http://{LOCAL}:{VIEWER_PORT}/proxy"))
+    if connect is not None:
+        check_answers(connect)
+        sinks.append(rr.GrpcSink(connect))
+    if serve is not None:
+        sinks.append(rr.GrpcServerSink(bind_ip=LOCAL, port=serve))
+    stream.set_sinks(*sinks, default_blueprint=blueprint)
+    return stream
+
+
+def _start_viewer() -> None:
+    """Start a viewer that outlives this process, unless one runs already.
+
+    The function does not use rerun's own `spawn`, whose viewer would listen to the network.
+
+    Raises:
+        InputError: If there is no screen, or the viewer does not answer in time.
+    """
+    if _listens():
+        return
+    check_screen()
+    command = rerun_command(bind=LOCAL, port=VIEWER_PORT, memory_limit=VIEWER_MEMORY)
+    started(command_words(*command, hide_welcome_screen=True, expect_data_soon=True))
+    deadline = time.monotonic() + START_PATIENCE
+    while not _listens():
+        if time.monotonic() > deadline:
+            raise InputError(f"no viewer came up within {START_PATIENCE:g} s; try it by hand: {' '.join(command)}")
+        time.sleep(0.1)
+
+
+def _listens() -> bool:
+    """Return whether a viewer listens on this machine."""
+    with suppress(OSError):
+        socket.create_connection((LOCAL, VIEWER_PORT), timeout=PATIENCE).close()
+        return True
+    return False
+
+
+def rerun_command(*words: object, **options: object) -> list[str]:
+    """Return the command that starts the installed rerun, whose version fits the recordings.
+
+    The command runs rerun as a module of this Python. A program called `rerun` may belong to another installation (pip
+    --user, system site packages).
+
+    Args:
+        words: Arguments of the command.
+        options: Options of the command by name: ``port=9876`` gives ``--port 9876``.
+    """
+    return command_words(sys.executable, "-m", "rerun_cli", *words, **options)
+
+
+def started(command: list[str], **environment: str) -> subprocess.Popen[bytes]:
+    """Start rerun as a process in a session of its own, and return the process.
+
+    Rerun's log output is discarded, since it is long and would hide important messages.
+
+    Args:
+        command: The words of the command.
+        environment: Additional environment variables.
+    """
+    quiet, variables = subprocess.DEVNULL, viewer_environment() | environment
+    return subprocess.Popen(command, env=variables, stdout=quiet, stderr=quiet, start_new_session=True)
+
+
+def telemetry_wanted() -> bool:
+    """Return whether the viewer may send usage data to its makers: only if FORCE_RERUN_ANALYTICS is set."""
+    return bool(os.environ.get("FORCE_RERUN_ANALYTICS"))
+
+
+def viewer_environment() -> dict[str, str]:
+    """Return this process's environment variables for a viewer, with CI set unless telemetry is wanted.
+
+    CI switches the viewer's telemetry off.
+    """
+    return dict(os.environ) if telemetry_wanted() else {**os.environ, "CI": "1"}
+
+
+def check_screen() -> None:
+    """Raise an error if there is no screen for a window; rerun itself would crash.
+
+    Raises:
+        InputError: If there is no screen.
+    """
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError(
+            "there is no screen to open a viewer on (DISPLAY and WAYLAND_DISPLAY are not set); show it in a browser "
+            f"with `{command_line('pickenv', 'inspect', 'RUN', web=True)}`"
+        )
+
+
+def check_answers(url: str) -> None:
+    """Raise an error if no viewer listens at an address; rerun itself would keep trying.
+
+    Raises:
+        InputError: If ``url`` is no address of a viewer, or nothing listens there.
+    """
+    form = f"rerun+http://{LOCAL}:{VIEWER_PORT}/proxy"
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise InputError(f"'{url}' is not the address of a viewer ({error}); it looks like {form}") from error
+    if parts.scheme not in ("rerun", "rerun+http", "rerun+https") or not host or parts.path != "/proxy":
+        raise InputError(f"'{url}' is not the address of a viewer; it looks like {form}")
+    try:
+        socket.create_connection((host, port or VIEWER_PORT), timeout=PATIENCE).close()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"no viewer answers at {url} ({reason}); start one with `rerun`") from error
+
 
 # The viewer's page for a browser on this machine, which may ask nobody else: no telemetry, no fonts, no news. rerun
 # serves the page; what stands here hands it on with a content security policy that names the recording's own server
@@ -33,7 +183,7 @@ from pickenv.inspect.recordings import live
 
 
 HANDED_ON = ("content-type", "content-encoding", "cache-control")
-PATIENCE = 30.0
+VIEWER_PATIENCE = 30.0
 """Time to wait for the viewer's own server, s."""
 
 
@@ -61,7 +211,7 @@ def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
                 self.send_error(403)
                 return
             headers = {name: self.headers[name] for name in ("Accept", "Accept-Encoding") if name in self.headers}
-            connection = HTTPConnection(host, viewer, timeout=PATIENCE)
+            connection = HTTPConnection(host, viewer, timeout=VIEWER_PATIENCE)
             try:
                 connection.request("GET", self.path, headers=headers)
                 response = connection.getresponse()
@@ -134,9 +284,9 @@ def headless_viewer() -> Iterator[Any]:
     port = _free_port()
     quiet: dict[str, Any] = {"headless": True, "hide_welcome_screen": True, "window_size": WINDOW}
     with tempfile.TemporaryDirectory() as folder:
-        command = live.rerun_command(**quiet, bind=live.LOCAL, port=port)
+        command = rerun_command(**quiet, bind=LOCAL, port=port)
         # With these variables it neither asks nor leaves files.
-        process = live.started(command, RERUN_APP_ONLY="true", XDG_RUNTIME_DIR=folder)
+        process = started(command, RERUN_APP_ONLY="true", XDG_RUNTIME_DIR=folder)
         client, deadline = None, time.monotonic() + STARTING
         try:
             while client is None and process.poll() is None and time.monotonic() < deadline:
@@ -207,24 +357,24 @@ def open_native(paths: Sequence[Path]) -> None:
     Raises:
         InputError: If there is no screen.
     """
-    live.check_screen()
-    _run(*paths, bind=live.LOCAL, port=live.VIEWER_PORT, memory_limit=live.VIEWER_MEMORY)
+    check_screen()
+    _run(*paths, bind=LOCAL, port=VIEWER_PORT, memory_limit=VIEWER_MEMORY)
 
 
 def open_web(paths: Sequence[Path]) -> None:
     """Serve recordings to a browser on this machine until interrupted, and print the address to open."""
     web, data = _free_port(), _free_port()
-    source = quote(f"rerun+http://{live.LOCAL}:{data}/proxy", safe="")
-    with nullcontext(web) if live.telemetry_wanted() else quiet_page(live.LOCAL, web, data) as page:
-        print(f"open http://{live.LOCAL}:{page}/?url={source} in a browser; Ctrl-C ends", flush=True)
-        _serve(*paths, serve_web=True, bind=live.LOCAL, port=data, web_viewer_port=web)
+    source = quote(f"rerun+http://{LOCAL}:{data}/proxy", safe="")
+    with nullcontext(web) if telemetry_wanted() else quiet_page(LOCAL, web, data) as page:
+        print(f"open http://{LOCAL}:{page}/?url={source} in a browser; Ctrl-C ends", flush=True)
+        _serve(*paths, serve_web=True, bind=LOCAL, port=data, web_viewer_port=web)
 
 
 def serve(paths: Sequence[Path], port: int) -> None:
     """Serve recordings to viewers that connect to ``port`` of this machine, until interrupted."""
-    client = command_line("rerun", connect=f"rerun+http://{live.LOCAL}:{port}/proxy")
+    client = command_line("rerun", connect=f"rerun+http://{LOCAL}:{port}/proxy")
     print(f"connect with: {client}; Ctrl-C ends", flush=True)
-    _serve(*paths, serve_grpc=True, bind=live.LOCAL, port=port)
+    _serve(*paths, serve_grpc=True, bind=LOCAL, port=port)
 
 
 def send(paths: Sequence[Path], url: str) -> None:
@@ -233,21 +383,21 @@ def send(paths: Sequence[Path], url: str) -> None:
     Raises:
         InputError: If no viewer answers at ``url``, or the viewer does not receive everything.
     """
-    live.check_answers(url)
+    check_answers(url)
     for path in paths:
         (entry, *_) = RrdReader(path).recordings()
         stream = rr.RecordingStream(entry.application_id, recording_id=entry.recording_id, send_properties=False)
         stream.set_sinks(rr.GrpcSink(url))
         stream.log_file_from_path(path)
         try:
-            stream.flush(timeout_sec=live.PATIENCE)
+            stream.flush(timeout_sec=PATIENCE)
         except RuntimeError as error:
-            raise InputError(f"the viewer at {url} did not take {path} within {live.PATIENCE:g} s: {error}") from error
+            raise InputError(f"the viewer at {url} did not take {path} within {PATIENCE:g} s: {error}") from error
 
 
 def _free_port() -> int:
     with socket.socket() as probe:
-        probe.bind((live.LOCAL, 0))
+        probe.bind((LOCAL, 0))
         return int(probe.getsockname()[1])
 
 
@@ -263,7 +413,7 @@ def _serve(*paths: Path, **options: object) -> None:
 def _run(*paths: Path, **options: object) -> None:
     """Run the installed rerun; when this program ends, end rerun and the programs that it started."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
-    process = live.started(live.rerun_command(*paths, **options))
+    process = started(rerun_command(*paths, **options))
     try:
         code = process.wait()
     except BaseException:
