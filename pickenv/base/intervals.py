@@ -36,6 +36,9 @@ skewed errors."""
 LEAST_RUNS = 5
 """Smallest number of runs (training seeds, repeated calibrations) for an interval. Means of runs are nearly normal."""
 
+EQUAL = "all arms are equal"
+"""Reason why there is no interval though there are enough arms and runs."""
+
 MOST_SKEWNESS = 3.0
 """Largest skewness that is corrected for. A larger sample skewness comes mostly from the single largest value."""
 
@@ -688,4 +691,4 @@ def share_estimate(chances: Array) -> Estimate:
 def _with_reason(value: float, ends: Ends | None, each: Array, least: int = LEAST) -> Estimate:
     arms, trainings = each.shape
     few = f"needs {least} arms" if arms < least else f"needs {LEAST_RUNS} trainings" * (1 < trainings < LEAST_RUNS)
-    return Estimate(value, ends, "" if ends else few or "all arms are equal")
+    return Estimate(value, ends, "" if ends else few or EQUAL)
