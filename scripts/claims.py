@@ -45,7 +45,7 @@ HOW = (
 )
 WHERE = (
     "Draw ten more with `make claims`, or others with "
-    '`make claims ARGS="--only ladder --count 3 --seed 7"`. Ctrl-C keeps what was made, and the same seed goes on from '
+    '`make claims ARGS="--only findings_constants --count 3 --seed 7"`. Ctrl-C keeps what was made, and the same seed goes on from '
     "there. Times, which have no seed, are not drawn. "
     "[claims.json](_static/claims.json) has every number, and each that was made again, with its seed. "
     "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made, over what it "

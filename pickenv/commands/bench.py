@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 from typer import Option
 
-from pickenv.base import InputError, locked, require, separate
+from pickenv.base import locked, require, separate
 from pickenv.commands.showing import CommandOfNames, check_workers, deliver, print_table, progress_bars
 
 bench = typer.Typer(
