@@ -226,7 +226,7 @@ def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[
         own: Estimate = row["estimate"]
         if found := drawn.get(_levels_of(row)):
             ends = (min(found), max(found)) if len(found) >= LEAST_DRAWS else None
-            missing = "" if ends else own.missing or f"{len(found)} draws of constants are fewer than {LEAST_DRAWS}"
+            missing = "" if ends else f"{len(found)} draws of constants are fewer than {LEAST_DRAWS}"
             row |= {"estimate": Estimate(own.value, ends, missing), "sampled": own}
 
 
