@@ -45,8 +45,8 @@ HOW = (
 )
 WHERE = (
     "Draw ten more with `make claims`, or others with "
-    '`make claims ARGS="--only findings_constants --count 3 --seed 7"`. Ctrl-C keeps what was made, and the same seed goes on from '
-    "there. Times, which have no seed, are not drawn. "
+    '`make claims ARGS="--only findings_constants --count 3 --seed 7"`. Ctrl-C keeps what was made, and the same seed '
+    "goes on from there. Numbers beside other packages are not drawn. "
     "[claims.json](_static/claims.json) has every number, and each that was made again, with its seed. "
     "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made, over what it "
     "varies and on what it depends."
@@ -62,6 +62,13 @@ Row = dict[str, Any]
 def entries() -> dict[str, Row]:
     """The ledger's experiments by their name, or that of their file."""
     return {entry.get("name") or Path(entry["file"]).stem: entry for entry in toml_of(LEDGER)[0]["experiment"]}
+
+
+def entry_of(name: str, known: Mapping[str, Row]) -> Row:
+    """The entry of an experiment; an `InputError` names those that there are."""
+    if name not in known:
+        raise InputError(f"{LEDGER} has no experiment {name}; it has {listed(known)}")
+    return known[name]
 
 
 def record() -> dict[str, list[Row]]:
@@ -218,9 +225,7 @@ def keep(results: list[Path]) -> None:
     for path in results:
         result = json.loads(path.read_text(encoding="utf-8"))
         name = result.get("experiment", path.stem)
-        if name not in known:
-            raise InputError(f"{LEDGER} has no experiment {name}; it has {listed(known)}")
-        entry = known[name]
+        entry = entry_of(name, known)
         printed, titles = entry.get("levels", {}), entry.get("titles") or list(entry["numbers"])
         found = rows_of_command(name, entry, result) if "command" in entry else rows_of(result)
         new = [
@@ -241,8 +246,8 @@ def check(count: int = 10, seed: int | None = None, only: list[str] | None = Non
     """Draw rows, make them again, and add to the record which of them held; the seed is the date's if left out.
 
     Each row has a seed of its own, for rows of one seed share its arms and miss together. Rows of this seed that stand
-    in the record are not made once more, so that an interrupted run goes on. Entries without a cheap size, such as
-    times, are not drawn.
+    in the record are not made once more, so that an interrupted run goes on. Entries without a cheap size are not
+    drawn.
 
     Args:
         count: Rows to draw.
@@ -250,10 +255,8 @@ def check(count: int = 10, seed: int | None = None, only: list[str] | None = Non
         only: Experiment to draw from; may be repeated.
     """
     known, kept = entries(), record()
-    if unknown := set(only or ()) - set(known):
-        raise InputError(f"{LEDGER} has no experiment {listed(unknown)}; it has {listed(known)}")
     seed = int(datetime.now(UTC).strftime("%Y%m%d")) if seed is None else seed
-    names = {name for name in only or known if "cheap" in known[name]}
+    names = {name for name in only or known if "cheap" in entry_of(name, known)}
     numbers = [number for number, row in enumerate(kept["rows"]) if row["experiment"] in names]
     drawn = np.random.default_rng(seed).choice(numbers, min(count, len(numbers)), replace=False).tolist()
     done = {(row["claim"], row["seed"]) for row in kept["again"]}
