@@ -62,6 +62,7 @@ def time_case(case: Case) -> dict[str, Any]:
 
     Seconds are those of the chunks; processor seconds, of this process alone, include reading the rows again.
     """
+    print(f"study: {case.method}, {case.executor}, {case.arms} arms …", file=sys.stderr)
     study, workers = load_study(SCRIPTS / "tolerance_study.toml"), case.workers
     sizes: dict[str, Any] = {"arms": case.arms, "chunk": min(1000, -(-case.arms // 4)), "fruit": FRUIT}
     setting: dict[str, Any] = {"methods": (case.method,), "it_grades": (12,), "payload_kg": (0.0,), "poses": (POSES,)}
@@ -78,15 +79,6 @@ def time_case(case: Case) -> dict[str, Any]:
         "ms_per_arm": 1e3 * summary["seconds"] / case.arms,
         "peak_mib": kib / 1024 if sys.platform == "linux" else None,  # elsewhere in other units
     }
-
-
-def time_studies(quick: bool) -> list[dict[str, Any]]:
-    """Every case in a fresh process."""
-    rows = []
-    for case in cases(quick):
-        print(f"study: {case.method}, {case.executor}, {case.arms} arms …", file=sys.stderr)
-        rows.append(in_fresh_process(time_case, case))
-    return rows
 
 
 def study_ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -168,7 +160,7 @@ def main(
     alone = ["--no-peers"] if no_peers else []
     environments = run_script("benchmark_envs.py", *alone, *(["--quick"] if quick else []))
     calibration = run_script("benchmark_calibration.py", *alone, *(["--runs", "3"] if quick else []))
-    result = gathered(environments, calibration, time_studies(quick), on)
+    result = gathered(environments, calibration, [in_fresh_process(time_case, case) for case in cases(quick)], on)
     print(markdown(result))
     if json_file is not None:
         print(f"wrote {write_json(json_file, result)}")
