@@ -2,7 +2,7 @@
 
 Each part runs in processes of its own, one after the other, so that none slows or warms another. Environments, training
 and calibration are those of benchmark_envs.py and benchmark_calibration.py; studies are measured here: cost per arm as
-the population grows, executors against arms one by one. What does not fit is extrapolated on paper and marked so.
+the population grows, executors against arms one by one.
 
 Run: python scripts/benchmark_all.py [--json FILE] [--markdown FILE] [--no-peers] [--quick]
 """
@@ -26,10 +26,8 @@ from pickenv.experiments import load_study, run_study
 
 SCRIPTS = Path(__file__).parent
 POSES, FRUIT = 30, 100
-LARGEST = 1_000_000
-"""Arms to which costs are extrapolated where they were not measured."""
-COSTS = {"cpu_seconds": ".3g", "ms_per_arm": ".3f", "peak_mib": ".3g"}
-"""What is printed of a study besides its seconds, and how."""
+COSTS = {"seconds": ".1f", "cpu_seconds": ".3g", "ms_per_arm": ".3f", "peak_mib": ".3g"}
+"""What is printed of a study, and how."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ def cases(quick: bool) -> list[Case]:
     few = 100 if quick else 400
     compared = [Case("ls", "serial", few, 1), Case("ls", "joblib", few, 2)]
     grown = [100, 1000] if quick else [100, 1000, 10_000]
-    forward = [1000, 10_000] if quick else [1000, 10_000, 100_000, LARGEST]
+    forward = [1000, 10_000] if quick else [1000, 10_000, 100_000, 1_000_000]
     calibrated = [Case("ls", "batched", arms, 2 if arms > 1000 else 1) for arms in grown]
     return [*compared, *calibrated, *(Case("raw", "batched", arms, 1) for arms in forward)]
 
@@ -64,6 +62,7 @@ def time_case(case: Case) -> dict[str, Any]:
 
     Seconds are those of the chunks; processor seconds, of this process alone, include reading the rows again.
     """
+    print(f"study: {case.method}, {case.executor}, {case.arms} arms …", file=sys.stderr)
     study, workers = load_study(SCRIPTS / "tolerance_study.toml"), case.workers
     sizes: dict[str, Any] = {"arms": case.arms, "chunk": min(1000, -(-case.arms // 4)), "fruit": FRUIT}
     setting: dict[str, Any] = {"methods": (case.method,), "it_grades": (12,), "payload_kg": (0.0,), "poses": (POSES,)}
@@ -79,30 +78,14 @@ def time_case(case: Case) -> dict[str, Any]:
         "cpu_seconds": cpu if case.workers == 1 else None,
         "ms_per_arm": 1e3 * summary["seconds"] / case.arms,
         "peak_mib": kib / 1024 if sys.platform == "linux" else None,  # elsewhere in other units
-        "extrapolated": False,
     }
-
-
-def time_studies(quick: bool) -> list[dict[str, Any]]:
-    """Every case in a fresh process; then the largest population at the cost per arm of the largest measured one."""
-    rows = []
-    for case in cases(quick):
-        print(f"study: {case.method}, {case.executor}, {case.arms} arms …", file=sys.stderr)
-        rows.append(in_fresh_process(time_case, case))
-    for method in ("ls", "raw"):
-        last = max((row for row in rows if row["method"] == method), key=lambda row: row["arms"])
-        if last["arms"] < LARGEST:
-            seconds = 1e-3 * last["ms_per_arm"] * LARGEST
-            unknown = {"cpu_seconds": None, "peak_mib": None, "extrapolated": True}
-            rows.append(last | {"arms": LARGEST, "seconds": seconds} | unknown)
-    return rows
 
 
 def study_ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
     """How many times as long an arm takes one by one, in one process, as on each other executor."""
     costs: dict[str, list[float]] = {}
     for row in rows:
-        if row["method"] == "ls" and not row["extrapolated"]:
+        if row["method"] == "ls":
             costs.setdefault(row["executor"], []).append(row["ms_per_arm"])
     (serial,) = costs.pop("serial")
     return {f"study_serial_vs_{executor}": serial / min(several) for executor, several in costs.items()}
@@ -158,9 +141,8 @@ def markdown(result: Mapping[str, Any]) -> str:
     parts += [f"{part}: {result[part]['note']}" for part in ("environments", "calibration") if "note" in result[part]]
     studies = []
     for row in result["study"]:
-        seconds = f"{row['seconds']:.1f}" + " (extrapolated)" * row["extrapolated"]
         costs = [figure(row[key], form) for key, form in COSTS.items()]
-        studies.append([row["method"], row["executor"], str(row["workers"]), f"{row['arms']:,}", seconds, *costs])
+        studies.append([row["method"], row["executor"], str(row["workers"]), f"{row['arms']:,}", *costs])
     heads = ("method", "executor", "processes", "arms", "seconds", "CPU s", "ms per arm", "peak of a process (MiB)")
     parts.append(f"Studies: qiao2026, one setting, {FRUIT} fruit; ls with {POSES} calibration poses.")
     parts.append(markdown_table(heads, studies, ("method", "executor")))
@@ -178,7 +160,7 @@ def main(
     alone = ["--no-peers"] if no_peers else []
     environments = run_script("benchmark_envs.py", *alone, *(["--quick"] if quick else []))
     calibration = run_script("benchmark_calibration.py", *alone, *(["--runs", "3"] if quick else []))
-    result = gathered(environments, calibration, time_studies(quick), on)
+    result = gathered(environments, calibration, [in_fresh_process(time_case, case) for case in cases(quick)], on)
     print(markdown(result))
     if json_file is not None:
         print(f"wrote {write_json(json_file, result)}")

@@ -27,6 +27,7 @@ import numpy as np
 import typer
 
 from pickenv.base import InputError, listed, share_interval, toml_of, write_json, write_text
+from pickenv.base.intervals import EQUAL
 from pickenv.experiments import load_experiment, run
 from pickenv.experiments.experiment_file import RESERVED, plain_estimates
 from pickenv.inspect.colours import said
@@ -43,7 +44,9 @@ HOW = (
     "together. Measured rows are the same each time: only splits and networks are drawn anew."
 )
 WHERE = (
-    'Draw ten more with `make claims`, or others with `make claims ARGS="--count 40 --seed 7"`. '
+    "Draw ten more with `make claims`, or others with "
+    '`make claims ARGS="--only findings_constants --count 3 --seed 7"`. Ctrl-C keeps what was made, and the same seed '
+    "goes on from there. Numbers beside other packages are not drawn. "
     "[claims.json](_static/claims.json) has every number, and each that was made again, with its seed. "
     "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made, over what it "
     "varies and on what it depends."
@@ -61,6 +64,13 @@ def entries() -> dict[str, Row]:
     return {entry.get("name") or Path(entry["file"]).stem: entry for entry in toml_of(LEDGER)[0]["experiment"]}
 
 
+def entry_of(name: str, known: Mapping[str, Row]) -> Row:
+    """The entry of an experiment; an `InputError` names those that there are."""
+    if name not in known:
+        raise InputError(f"{LEDGER} has no experiment {name}; it has {listed(known)}")
+    return known[name]
+
+
 def record() -> dict[str, list[Row]]:
     """Rows, and what was made again: "rows" and "again"."""
     return dict(json.loads(RECORD.read_text(encoding="utf-8")))
@@ -69,14 +79,15 @@ def record() -> dict[str, list[Row]]:
 def rows_of(result: Mapping[str, Any], certain: bool = False) -> list[Row]:
     """The rows of an experiment's JSON that have an interval with both ends, each with its levels.
 
-    Where all units are equal there is none; such rows are left out unless ``certain``, and end where they begin.
+    Where all units are equal there is none; such rows are left out unless ``certain``, and end where they begin. Rows
+    of too few units for an interval are always left out.
     """
     rows = []
     for table in result["tables"]:
         for row in table["rows"]:
             levels = {k: v for k, v in row.items() if k not in RESERVED}
             ends = row["ci95"] or ([row["value"]] * 2 if certain else [None])
-            sampled = row.get("sampled95") or ends
+            sampled = row.get("sampled95") or (ends if row["ci95"] or row["no_interval"] == EQUAL else [None])
             if None not in (*ends, *sampled) and (certain or sampled[0] < sampled[1]):
                 about = {"experiment": result["experiment"], "title": table["title"], "levels": levels}
                 rows.append(about | {"value": row["value"], "ci95": ends, "sampled95": sampled})
@@ -151,13 +162,13 @@ def key_of(row: Mapping[str, Any]) -> str:
 def holds(first: Mapping[str, Any], again: Mapping[str, Any]) -> bool:
     """Whether two numbers agree, with their intervals over arms: constants are those of the design both times.
 
-    Those without an interval are to be the same, to three digits.
+    Where neither has an interval they are to be the same, to three digits; one of equal units ends where it begins.
     """
-    if first["sampled95"] is None or again["sampled95"] is None:
+    if first["sampled95"] is again["sampled95"] is None:
         return bool(np.isclose(first["value"], again["value"], rtol=5e-3))
-    low, high = sorted((first, again), key=lambda row: float(row["value"]))
-    reach = (low["sampled95"][1] - low["value"], high["value"] - high["sampled95"][0])
-    return bool(high["value"] - low["value"] <= np.sqrt(np.mean(np.square(reach))))
+    ends = [(row["value"], row["sampled95"] or [row["value"]] * 2) for row in (first, again)]
+    (low, (_, above)), (high, (below, _)) = sorted(ends)
+    return bool(high - low <= np.sqrt(np.mean(np.square([above - low, high - below]))))
 
 
 def same(first: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -214,9 +225,7 @@ def keep(results: list[Path]) -> None:
     for path in results:
         result = json.loads(path.read_text(encoding="utf-8"))
         name = result.get("experiment", path.stem)
-        if name not in known:
-            raise InputError(f"{LEDGER} has no experiment {name}; it has {listed(known)}")
-        entry = known[name]
+        entry = entry_of(name, known)
         printed, titles = entry.get("levels", {}), entry.get("titles") or list(entry["numbers"])
         found = rows_of_command(name, entry, result) if "command" in entry else rows_of(result)
         new = [
@@ -233,23 +242,41 @@ def keep(results: list[Path]) -> None:
 
 
 @app.command()
-def check(count: int = 10, seed: int | None = None) -> None:
+def check(count: int = 10, seed: int | None = None, only: list[str] | None = None) -> None:
     """Draw rows, make them again, and add to the record which of them held; the seed is the date's if left out.
 
-    Each row has a seed of its own, for rows of one seed share its arms and miss together.
+    Each row has a seed of its own, for rows of one seed share its arms and miss together. Rows of this seed that stand
+    in the record are not made once more, so that an interrupted run goes on. Entries without a cheap size are not
+    drawn.
+
+    Args:
+        count: Rows to draw.
+        seed: Seed of the drawing.
+        only: Experiment to draw from; may be repeated.
     """
     known, kept = entries(), record()
     seed = int(datetime.now(UTC).strftime("%Y%m%d")) if seed is None else seed
-    drawn = np.random.default_rng(seed).choice(len(kept["rows"]), min(count, len(kept["rows"])), replace=False)
-    for number in drawn.tolist():
-        row, own = kept["rows"][number], int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-        again = made_again(row, known[row["experiment"]], own)
-        found = {"claim": key_of(row), "seed": own, "held": holds(row, again)}
-        kept["again"].append(found | {name: again[name] for name in ("value", "ci95", "seconds")})
-        word = "held  " if found["held"] else "MISSED"
-        print(f"{word} {shown(row)} again {shown(again)}, {again['seconds']} s: {key_of(row)}")
-        write_json(RECORD, kept)
-        write_text(PAGE, page_of(kept, known))
+    names = {name for name in only or known if "cheap" in entry_of(name, known)}
+    numbers = [number for number, row in enumerate(kept["rows"]) if row["experiment"] in names]
+    drawn = np.random.default_rng(seed).choice(numbers, min(count, len(numbers)), replace=False).tolist()
+    done = {(row["claim"], row["seed"]) for row in kept["again"]}
+    try:
+        for number in drawn:
+            row, own = kept["rows"][number], int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+            if (key_of(row), own) in done:
+                print(f"in the record already: {key_of(row)}")
+                continue
+            again = made_again(row, known[row["experiment"]], own)
+            found = {"claim": key_of(row), "seed": own, "held": holds(row, again)}
+            kept["again"].append(found | {name: again[name] for name in ("value", "ci95", "seconds")})
+            write_json(RECORD, kept)
+            word = "held  " if found["held"] else "MISSED"
+            print(f"{word} {shown(row)} again {shown(again)}, {again['seconds']} s: {key_of(row)}", flush=True)
+    except KeyboardInterrupt:
+        print(f"interrupted; the rows above are in the record, and --seed {seed} goes on from there", file=sys.stderr)
+        raise
+    finally:
+        write_text(PAGE, page_of(record(), known))
     print(sentence(kept["again"], known))
 
 

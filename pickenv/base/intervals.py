@@ -36,6 +36,9 @@ skewed errors."""
 LEAST_RUNS = 5
 """Smallest number of runs (training seeds, repeated calibrations) for an interval. Means of runs are nearly normal."""
 
+EQUAL = "all arms are equal"
+"""Reason why there is no interval though there are enough arms and runs."""
+
 MOST_SKEWNESS = 3.0
 """Largest skewness that is corrected for. A larger sample skewness comes mostly from the single largest value."""
 
@@ -503,7 +506,7 @@ def estimate(
         by: Grouping columns. Each combination of their values has one estimate, in the order of the rows.
         over: One or two columns that name the random units (such as arms, and training seeds) over which estimates
             vary. Within a combination, table rows of the same units are averaged. Over two columns, only means and
-            shares of one column have intervals.
+            shares of one column, and ratios, have intervals.
         of: The statistic, which is one of the following. "mean": the mean. "share": the share of successes, from one
             column of successes or their probabilities, or from two columns, successes and trials. "ratio": the ratio of
             the sums of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or
@@ -626,6 +629,9 @@ def _estimated(cube: Array, of: str | float | Statistic, least: int) -> Estimate
         else:
             function = of if callable(of) else _removed
             value, ends = float(function(table)), statistic_interval(table, function)
+        if of == "ratio" and cube.shape[2] > 1:  # linear in small differences: the mean of remainders of mean zero
+            up, down = cube.mean(axis=3)
+            return _with_reason(value, crossed_interval(value + (up - value * down) / down.mean(), least), up, least)
         if cube.shape[2] > 1:
             return Estimate(value, None, "no interval of this statistic counts trainings")
         return _with_reason(value, ends, table[:, :1])
@@ -688,4 +694,4 @@ def share_estimate(chances: Array) -> Estimate:
 def _with_reason(value: float, ends: Ends | None, each: Array, least: int = LEAST) -> Estimate:
     arms, trainings = each.shape
     few = f"needs {least} arms" if arms < least else f"needs {LEAST_RUNS} trainings" * (1 < trainings < LEAST_RUNS)
-    return Estimate(value, ends, "" if ends else few or "all arms are equal")
+    return Estimate(value, ends, "" if ends else few or EQUAL)

@@ -118,7 +118,6 @@ def policies(
         workers: Number of processes; one per core if left out.
     """
     from pickenv.experiments import policy_tables
-    from pickenv.experiments.policies import RUNG
     from pickenv.inspect.colours import policy_label
     from pickenv.inspect.runs.run_folder import listed_files
 
@@ -127,15 +126,13 @@ def policies(
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
     plants = (*(plant or ()), *policy_tables.rungs(rung or ()))
-    if split is not None and plants and not any(name.startswith(RUNG) for name in plants):
-        raise InputError(f"--split {split} chooses among a rung's arms; name one with --rung, or leave --split out")
     usual = policy_tables.QUICK if quick else policy_tables.LEADERBOARD
     settings = replace(
         usual,
         policies=(*(("oracle",) if learned else usual.policies), *dict.fromkeys(policy or [])),
         plants=plants or usual.plants,
         seeds=tuple(range(seed, seed + seeds)),
-        split=split or usual.split,
+        split=split,
         arms=arms or usual.arms,
         episodes=episodes or usual.episodes,
         canopies=usual.canopies if canopies is None else canopies,

@@ -77,7 +77,7 @@ class PolicySettings:
         fruit_noise_mm: Standard deviation, per axis, of the fruit's position in the observation.
         plan: How arms are calibrated; each seed in ``seeds`` replaces the seed of the plan.
         canopies: Number of canopies that each picking policy clears with each arm and gripper, one after the other.
-        split: Arms that are taken from a rung: "test", on which policies are judged, or "train".
+        split: Arms that are taken from a rung: "test", on which policies are judged, or "train"; "test" if left out.
     """
 
     policies: tuple[str, ...] = ("scripted", "oracle", "servo", "adaptive")
@@ -93,7 +93,7 @@ class PolicySettings:
     fruit_noise_mm: float = 0.0
     plan: methods.CalibrationPlan = field(default_factory=methods.CalibrationPlan)
     canopies: int = 0
-    split: str = "test"
+    split: str | None = None
 
     def __post_init__(self) -> None:
         for compensation in self.compensations:
@@ -107,8 +107,9 @@ class PolicySettings:
         check_limit("arms", self.arms, "compared arms")
         check_limit("episodes", self.episodes, "episodes")
         check_limit("epochs", self.plan.epochs, "epochs")
-        check_choice("split", self.split, ("test", "train"))
-        if self.split != "test" and self.plants and not any(plant.startswith(RUNG) for plant in self.plants):
+        if self.split is not None:
+            check_choice("split", self.split, ("test", "train"))
+        if self.split and self.plants and not any(plant.startswith(RUNG) for plant in self.plants):
             raise InputError(f"`split={self.split!r}` chooses among a rung's arms; name a rung, or leave `split` out")
 
     def world(self, plant: str, seed: int, feedback: str = "encoders", task: str = "Reach") -> dict[str, Any]:
@@ -132,7 +133,7 @@ class PolicySettings:
             own_class = class_of(plant)
             tolerances = self.tolerances if own_class is None else own_class.name
             return own | {"plant": plant, "tolerances": tolerances, "population_seed": population_seed(seed)}
-        fixed = on_ladder(task, difficulty=plant.removeprefix(RUNG), split=self.split)
+        fixed = on_ladder(task, difficulty=plant.removeprefix(RUNG), split=self.split or "test")
         if (asked := self.arms * len(self.levels("seeds"))) > (most := fixed.get("population", 1)):
             raise InputError(f"{plant} has {most} arms to be judged on; {asked} were asked for")
         arms = {name: value for name, value in fixed.items() if name not in ("arms", "population")}

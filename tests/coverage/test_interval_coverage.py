@@ -130,6 +130,22 @@ def test_mean_estimate_and_training_seeds(repeats: Any, arms: int, seeds: int, s
     repeats.check(draw, 3.0)
 
 
+@pytest.mark.parametrize("trainings", [0.0, 0.2, 0.4])
+def test_ratio_over_canopies_and_trainings(repeats: Any, trainings: float) -> None:
+    """Fruit per hour of 60 canopies that five trainings pick, whose fruit vary by so much; more fruit take longer."""
+    canopy, training = (place.ravel() for place in np.mgrid[:60, :LEAST_RUNS])
+
+    def draw(rng: np.random.Generator) -> Any:
+        size = rng.gamma(8.0, 0.75, 60)[canopy] * (1.0 + trainings * rng.normal(size=LEAST_RUNS)[training])
+        fruit = size + rng.normal(size=len(size))
+        hours = 0.002 * size + 0.001 * rng.gamma(4.0, 0.5, len(size)) + 0.002
+        columns = {"canopy": canopy, "training": training, "fruit": fruit, "hours": hours}
+        (row,) = estimate(columns, ("fruit", "hours"), over=("canopy", "training"), of="ratio")
+        return row["estimate"].ci95
+
+    repeats.check(draw, 6.0 / (0.012 + 0.002 + 0.002))
+
+
 @pytest.mark.parametrize(
     ("count", "probability", "most"),
     [(10, 0.5, 0.97), (64, 0.5, 0.97), (64, 0.75, 0.97), (80, 0.95, 0.97), (20, 0.95, 0.985)],

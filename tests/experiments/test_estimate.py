@@ -59,7 +59,6 @@ def test_trainings_and_arms_are_two_crossed_factors():
     ("value", "of"),
     [
         (("error_mm", "half_mm"), "removed"),
-        (("half_mm", "error_mm"), "ratio"),
         (("taken", "tried"), "share"),
         ("error_mm", lambda means: means.mean()),
     ],
@@ -71,6 +70,20 @@ def test_no_interval_over_arms_alone_is_given_where_trainings_were_asked_for_too
         assert row["estimate"].ci95 is None and "counts trainings" in row["estimate"].missing
     (row, _) = estimate(columns, value, by=("method",), of=of)
     assert row["estimate"].ci95 is not None
+
+
+def test_a_ratio_to_equal_times_is_the_mean_over_arms_and_trainings():
+    """Where hours vary less than what was picked, both count."""
+    columns, _ = errors(trainings=6)
+    columns |= {"hours": np.full(len(columns["arm"]), 2.0)}
+    asked = {"by": ("method",), "over": ("arm", "training")}
+    rates = estimate(columns, ("error_mm", "hours"), of="ratio", **asked)
+    for rate, mean in zip(rates, estimate(columns, "error_mm", **asked), strict=True):
+        assert rate["estimate"].value == pytest.approx(mean["estimate"].value / 2.0)
+        assert rate["estimate"].ci95 == pytest.approx(np.divide(mean["estimate"].ci95, 2.0))
+    columns, _ = errors(trainings=3)
+    (few, _) = estimate(columns | {"hours": columns["error_mm"] + 1.0}, ("error_mm", "hours"), of="ratio", **asked)
+    assert few["estimate"].missing == "needs 5 trainings"
 
 
 @pytest.mark.parametrize("of", ["ratio", "removed"])

@@ -368,6 +368,7 @@ def test_figures_are_drawn_from_the_run_folder_to_the_bit(episodes, tmp_path):
         ({"plants": ("nowhere",)}, "nowhere"),
         ({"arms": 0}, "arms is 0; give 1 to 10 000"),
         ({"split": "train"}, "chooses among a rung's arms; name a rung"),
+        ({"split": "test"}, "`split='test'` chooses among a rung's arms; name a rung"),
     ],
 )
 def test_bad_settings_end_with_one_sentence(changes, message):

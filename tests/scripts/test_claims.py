@@ -121,6 +121,8 @@ def programs(claims):
 def test_every_command_takes_the_options_of_its_cheap_size_and_a_seed(claims):
     """No option is misspelt, and each of a row's levels is named or is made with the others."""
     for entry, options in programs(claims):
+        if "cheap" not in entry:
+            continue  # is not made again by itself
         asked = re.findall(r"--[a-z-]+", entry["cheap"])
         assert bool(asked) == bool(entry["cheap"])
         written = {"--out"} if "writes" in entry else {"--out", "--json"}
@@ -205,7 +207,7 @@ def test_every_row_can_be_made_again(claims):
     for name, entry in claims.entries().items():
         rows = [row for row in claims.record()["rows"] if row["experiment"] == name]
         if "command" in entry:
-            titles, options = set(entry["numbers"]), [entry["cheap"].format(**row["levels"]) for row in rows]
+            titles, options = set(entry["numbers"]), [entry.get("cheap", "").format(**row["levels"]) for row in rows]
             assert all("{" not in each for each in options)
         else:
             file = claims.load_experiment(ROOT / entry["file"], changes=entry["cheap"])
@@ -265,6 +267,78 @@ def test_a_row_is_made_again_from_its_levels_alone_at_another_seed(claims, tmp_p
     other = claims.made_again(row, {"file": "claimed_toy.toml", "cheap": {"arm": 20}}, 6)
     assert again["levels"] == row["levels"] and 0.0 < again["value"] < 2.0 and again["value"] != other["value"]
     assert again["ci95"][0] < again["value"] < again["ci95"][1]
+
+
+def test_equal_units_end_where_they_begin_and_too_few_are_refused(claims, tmp_path, monkeypatch):
+    """With too few units any difference would be a miss; least squares err alike here."""
+    (tmp_path / "few_toy.toml").write_text(MADE.replace("claimed", "few"), encoding="utf-8")
+    (tmp_path / "few_toy.py").write_text(CODE.replace("else 1.0)", "else 1.0, 1.0 if method == 'raw' else 0.0)"))
+    monkeypatch.setattr(claims, "ROOT", tmp_path)
+    row = {"experiment": "few_toy", "title": "Error (mm)", "levels": {"method": "ls", "load": 1.0}}
+    equal = claims.made_again(row, {"file": "few_toy.toml", "cheap": {"arm": 10}}, 5)
+    assert equal["value"] == 1.0 and equal["sampled95"] == [1.0, 1.0]
+    for method in ("ls", "raw"):
+        few = row | {"levels": {"method": method, "load": 1.0}}
+        with pytest.raises(claims.InputError, match=f"makes no row '.*method {method}, load 1.0' .*give more units"):
+            claims.made_again(few, {"file": "few_toy.toml", "cheap": {"arm": 9}}, 5)
+
+
+def test_a_number_of_equal_units_holds_within_the_other_ones_interval(claims):
+    equal, varied = {"value": 1.0, "sampled95": None}, {"value": 0.9, "sampled95": [0.7, 1.1]}
+    for pair in ((equal, varied), (varied, equal)):
+        assert claims.holds(*pair)  # 0.1 apart; the reach is 0.2 over the root of two
+        assert not claims.holds(*pair[:1], *({**row, "value": row["value"] + 5.0} for row in pair[1:]))
+    assert claims.holds(equal, equal) and not claims.holds(equal, equal | {"value": 1.01})
+
+
+@pytest.fixture
+def toy_ledger(claims, tmp_path, monkeypatch):
+    """Six rows of an experiment that takes no time, and one of another without a cheap size."""
+    levels = [{"experiment": "toy", "levels": {"case": case}} for case in range(6)]
+    levels.append({"experiment": "timed", "levels": {"case": 0}})
+    rows = [row | {"title": "Time", "value": 1.0, "ci95": None, "sampled95": None} for row in levels]
+    monkeypatch.setattr(
+        claims, "entries", lambda: {"toy": {"page": "toy.md", "cheap": ""}, "timed": {"page": "toy.md"}}
+    )
+    monkeypatch.setattr(claims, "RECORD", tmp_path / "claims.json")
+    monkeypatch.setattr(claims, "PAGE", tmp_path / "claims.md")
+    claims.RECORD.write_text(json.dumps({"rows": rows, "again": []}), encoding="utf-8")
+    calls = []
+
+    def made_again(row, entry, seed):
+        calls.append(row["levels"]["case"])
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return row | {"value": seed / 1e9, "seconds": 0.1}
+
+    monkeypatch.setattr(claims, "made_again", made_again)
+    return calls
+
+
+def test_an_interrupted_drawing_goes_on_where_it_stopped(claims, toy_ledger, capsys):
+    with pytest.raises(KeyboardInterrupt):
+        claims.check(count=5, seed=4)
+    assert "--seed 4 goes on from there" in capsys.readouterr().err
+    first = claims.record()["again"]
+    assert len(first) == 2 and claims.page_of(claims.record(), claims.entries()) == claims.PAGE.read_text()
+    claims.PAGE.write_text("of a run that was killed")
+    claims.check(count=5, seed=4)
+    again = claims.record()["again"]
+    assert again[:2] == first and len({row["claim"] for row in again}) == len(again) == 5
+    assert len(toy_ledger) == 6  # the interrupted one twice
+    claims.check(count=5, seed=4)
+    assert claims.record()["again"] == again and len(toy_ledger) == 6
+    assert claims.page_of(claims.record(), claims.entries()) == claims.PAGE.read_text()
+
+
+def test_only_rows_that_are_asked_for_and_have_a_cheap_size_are_drawn(claims, toy_ledger):
+    toy_ledger.extend([None] * 3)  # is not interrupted
+    claims.check(count=50, seed=4)
+    assert sorted(toy_ledger[3:]) == [0, 1, 2, 3, 4, 5]
+    claims.check(count=50, seed=5, only=["timed"])
+    assert len(toy_ledger) == 9
+    with pytest.raises(claims.InputError, match="has no experiment tamed; it has"):
+        claims.check(only=["tamed"])
 
 
 PROGRAM = """
