@@ -73,6 +73,7 @@ class PoseUncertainty:
         factors: For each of `QUANTITIES` with enough held-out errors, the entries "factor" and "covered". 95 of 100
             errors are smaller than "factor" times their expected root mean square. "covered" is the share of held-out
             errors below their bound. The bound of an error is computed without the block of rows that holds it.
+        growth: Factors on the two repeats in the uncertainty of a pose, since few held-out errors tell them poorly.
     """
 
     names: tuple[str, ...]
@@ -80,6 +81,7 @@ class PoseUncertainty:
     position_repeat: float
     attitude_repeat: float | None
     factors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    growth: tuple[float, float] = (1.0, 1.0)
 
     def pose_covariance(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Compute the covariance ``(..., 6, 6)`` of the tool pose, m and rad, in world axes.
@@ -100,7 +102,7 @@ class PoseUncertainty:
     @property
     def scatter(self) -> Array:
         """Part of each pose coordinate's variance ``(6,)`` that the parameters do not explain, m^2 and rad^2."""
-        return np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
+        return np.repeat(np.multiply([self.position_repeat, self.attitude_repeat or 0.0], self.growth), 3) ** 2
 
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -190,6 +192,7 @@ class PoseUncertainty:
             "position_repeat_m": self.position_repeat,
             "attitude_repeat_rad": self.attitude_repeat,
             **{f"{name}_within95": part for name, part in self.factors.items()},
+            **({} if self.growth == (1.0, 1.0) else {"growth": list(self.growth)}),
         }
 
     @staticmethod
@@ -338,9 +341,8 @@ def uncertainty_from(record: Mapping[str, Any], name: str = UNCERTAINTY) -> Pose
         for name in QUANTITIES
         if f"{name}_within95" in entry and f"{name}_local" not in entry  # that factor is of another scatter
     }
-    return PoseUncertainty(
-        tuple(entry["parameters"]), covariance, float(entry["position_repeat_m"]), entry["attitude_repeat_rad"], factors
-    )
+    repeats, growth = (float(entry["position_repeat_m"]), entry["attitude_repeat_rad"]), entry.get("growth", (1.0, 1.0))
+    return PoseUncertainty(tuple(entry["parameters"]), covariance, *repeats, factors, (growth[0], growth[1]))
 
 
 KIND = "calibration"

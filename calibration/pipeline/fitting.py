@@ -419,11 +419,8 @@ def pose_uncertainties(
     beside, share = found, (position_rms(after) / position_rms(held_out.parametric)) ** 2
     if np.isfinite(found.covariance).all():
         beside = replace(found, covariance=covariance_at(found, train, float(np.clip(share, 1e-9, 1.0))))
-    sure = of(beside, after)
-    sure = replace(sure, position_repeat=sure.position_repeat * _growth(after[:, :3], held_out.blocks))
-    if sure.attitude_repeat is not None:
-        sure = replace(sure, attitude_repeat=sure.attitude_repeat * _growth(after[:, 3:], held_out.blocks))
-    return sure, of(found, held_out.parametric)
+    growth = _growth(after[:, :3], held_out.blocks), _growth(after[:, 3:], held_out.blocks)
+    return replace(of(beside, after), growth=growth), of(found, held_out.parametric)
 
 
 def _growth(errors: Array, blocks: Rows | None) -> float:
@@ -431,6 +428,8 @@ def _growth(errors: Array, blocks: Rows | None) -> float:
 
     ``blocks`` ``(M,)`` has the same integer for errors of one block of rows, which are correlated; None if none are.
     """
+    if not errors.any():
+        return 1.0
     squares = np.sum(errors**2, axis=1)
     if blocks is not None:
         squares = np.bincount(blocks, squares) / np.bincount(blocks)

@@ -123,6 +123,17 @@ def test_both_uncertainties_survive_the_file_and_older_files_have_one(arms, tmp_
     )
 
 
+def test_few_held_out_errors_tell_less_of_their_size(arms) -> None:
+    """The standard error of their mean square is added to it, for positions and attitudes."""
+    result, _ = arms[0]
+    sure = uncertainty_from(result.calibration.record)
+    assert sure is not None
+    halves = np.split(list(result.errors.values())[-1], 2, axis=1)
+    for errors, variance in zip(halves, np.split(sure.scatter, 2), strict=True):
+        squares = np.mean(errors**2, axis=1)
+        np.testing.assert_allclose(variance, squares.mean() + squares.std() / np.sqrt(len(squares)))
+
+
 def test_exports_write_the_parameters_own_uncertainty_which_a_residual_does_not_change(arms, tmp_path: Path) -> None:
     """A table of parameters has no residual. Poses beside one are known better than its parameters say."""
     result, fresh = arms[0]
