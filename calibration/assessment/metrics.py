@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
 from pickenv.base import LEAST, Ends, mean_interval, statistic_interval
-from pickenv.calibration.model.observations import BLOCKS, Rows, same_poses
 
 LEAST_ROWS = 20
 """Smallest number of single errors for a 95 % interval of their mean; with ten, it covers the mean in only 92 %."""
@@ -27,10 +26,6 @@ The spread is the standard deviation of the logarithm of the blocks' root mean s
 outweighs the others, and an interval from ten blocks covers the root mean square in less than 93 %. For the errors that
 calibrations of measured robots leave, the spread is 0.03 to 0.23.
 """
-
-
-SHARE = 0.95
-"""Share of errors below the bounds of `within95`."""
 
 
 @dataclass(frozen=True)
@@ -133,40 +128,3 @@ def held_out_r2(truth: ArrayLike, predicted: ArrayLike) -> Array:
     truth, predicted = np.asarray(truth, dtype=float), np.asarray(predicted, dtype=float)
     unexplained = np.sum((truth - predicted) ** 2, axis=0)
     return np.asarray(1.0 - unexplained / np.sum((truth - truth.mean(axis=0)) ** 2, axis=0))
-
-
-def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
-    """Compute the factor such that 95 of 100 errors are smaller than the factor times their expected RMS size.
-
-    Args:
-        joints: Joints of each error's row ``(R, n)``, rad or m.
-        squares: Squared norms of the errors ``(R,)``, m^2 or rad^2.
-        variance: Part of each expected square that the parameters cause ``(R,)``, in the unit of ``squares``.
-        blocks: For each error, an integer that is the same for all errors of one block of rows ``(R,)``; if None,
-            blocks are contiguous tenths of the poses.
-
-    Returns:
-        The entry "factor", and the entry "covered": the share of errors below their bound, where each block's bound
-        comes from all other blocks. None if there are too few errors or blocks.
-    """
-    count = len(squares)
-    if count < 2 * BLOCKS:
-        return None
-    if blocks is None:
-        poses = same_poses(joints)
-        blocks = poses * BLOCKS // (int(poses.max()) + 1)
-    numbers = np.unique(blocks)
-    if len(numbers) < 2:
-        return None
-    ratio = np.zeros(count)
-    for number in numbers:
-        rows = blocks == number
-        ratio[rows] = np.sqrt(squares[rows]) / np.sqrt(squares[~rows].mean() + variance[rows])
-    inside = [ratio[blocks == number] <= _quantile(ratio[blocks != number]) for number in numbers]
-    return {"factor": _quantile(ratio), "covered": float(np.concatenate(inside).mean())}
-
-
-def _quantile(ratio: Array) -> float:
-    """Return the 95 % conformal quantile of n ratios: the one of rank 0.95 (n + 1), rounded up, but n at most."""
-    rank = int(np.ceil(SHARE * (len(ratio) + 1)))
-    return float(np.sort(ratio)[min(rank, len(ratio)) - 1])

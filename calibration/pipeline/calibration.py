@@ -17,8 +17,7 @@ from pickenv.arm.files.arm import finite, geometry_arrays, geometry_from_arrays
 from pickenv.base import DO_NOT_USE, FITTED_FRAMES, InputError
 from pickenv.base.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.base.registry import Origin, get, origin
-from pickenv.calibration.assessment.metrics import within95
-from pickenv.calibration.assessment.screen import Block, figure
+from pickenv.calibration.assessment.screen import Block, figure, within95
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions

@@ -24,8 +24,7 @@ from pickenv.calibration import (
     simulated_tracker,
     uncertainty_from,
 )
-from pickenv.calibration.assessment.metrics import within95
-from pickenv.calibration.assessment.screen import figure
+from pickenv.calibration.assessment.screen import figure, within95
 from pickenv.calibration.pipeline.apply import CorrectedCommands
 from pickenv.calibration.pipeline.calibration import PoseUncertainty
 from pickenv.wrappers import CompensationWrapper
