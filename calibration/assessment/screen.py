@@ -21,7 +21,7 @@ from pickenv.base import LEAST, Ends, folded, mean_interval, screen_width, side_
 from pickenv.calibration.identification.least_squares import Identification, is_angle, rms_of
 from pickenv.calibration.identification.term_choice import harmonics_of
 from pickenv.calibration.model.measurements import screen_unit
-from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, same_poses
 from pickenv.calibration.model.pixels import LENS_NAMES
 from pickenv.calibration.model.terms import ComplianceTerm
 
@@ -342,3 +342,44 @@ def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
         cells.append((f"{row['joint']} ({row['name']})", *sizes, unit, *torques))
     note = NOTE if any("torque_rms" in row for row in rows) else "from the weight of the masses in the arm's file"
     return Block("Stiffnesses of the joints", header, tuple(cells), note, "stiffnesses")
+
+
+SHARE = 0.95
+"""Share of errors below the bounds of `within95`."""
+
+
+def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
+    """Compute the factor such that 95 of 100 errors are smaller than the factor times their expected RMS size.
+
+    Args:
+        joints: Joints of each error's row ``(R, n)``, rad or m.
+        squares: Squared norms of the errors ``(R,)``, m^2 or rad^2.
+        variance: Part of each expected square that the parameters cause ``(R,)``, in the unit of ``squares``.
+        blocks: For each error, an integer that is the same for all errors of one block of rows ``(R,)``; if None,
+            blocks are contiguous tenths of the poses.
+
+    Returns:
+        The entry "factor", and the entry "covered": the share of errors below their bound, where each block's bound
+        comes from all other blocks. None if there are too few errors or blocks.
+    """
+    count = len(squares)
+    if count < 2 * BLOCKS:
+        return None
+    if blocks is None:
+        poses = same_poses(joints)
+        blocks = poses * BLOCKS // (int(poses.max()) + 1)
+    numbers = np.unique(blocks)
+    if len(numbers) < 2:
+        return None
+    ratio = np.zeros(count)
+    for number in numbers:
+        rows = blocks == number
+        ratio[rows] = np.sqrt(squares[rows]) / np.sqrt(squares[~rows].mean() + variance[rows])
+    inside = [ratio[blocks == number] <= _quantile(ratio[blocks != number]) for number in numbers]
+    return {"factor": _quantile(ratio), "covered": float(np.concatenate(inside).mean())}
+
+
+def _quantile(ratio: Array) -> float:
+    """Return the 95 % conformal quantile of n ratios: the one of rank 0.95 (n + 1), rounded up, but n at most."""
+    rank = int(np.ceil(SHARE * (len(ratio) + 1)))
+    return float(np.sort(ratio)[min(rank, len(ratio)) - 1])

@@ -147,7 +147,7 @@ def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: ND
 
     The other arguments are those of `_way`.
     """
-    sure = uncertainty_from(calibration.record)
+    sure = uncertainty_from(calibration.without_residual().record)
     if sure is None:
         return np.full(calibration.arm.joints, np.nan)
     nominal = calibration.nominal
@@ -374,7 +374,7 @@ def dh_table(calibration: Calibration, order: document.Order) -> document.Docume
     of the export.
     """
     notes = (KEPT, *document.left_out(calibration, "not in the table, because no geometry can hold it"))
-    sure = uncertainty_from(calibration.record)
+    sure = uncertainty_from(calibration.without_residual().record)
     std = {} if sure is None else dict(zip(sure.names, np.sqrt(np.diag(sure.covariance)), strict=True))
     nominal, identified = _parameters(calibration.nominal), _parameters(calibration.identified)
     rows = []

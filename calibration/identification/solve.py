@@ -196,6 +196,27 @@ def averaged_over_scales(
     return dict(zip(free, np.exp(mean).tolist(), strict=True)), averaged
 
 
+def covariance_at(found: Identification, data: Observations, share: float) -> Array:
+    """Compute the covariance of the kept parameters if the rows scattered less than they do about the fitted arm.
+
+    It is the covariance beside a learnt residual, which removes what errors have in common. The errors that remain are
+    smaller, and rows then count as independent.
+
+    Args:
+        found: The identification.
+        data: The rows that it was fitted to.
+        share: Share of the rows' variance that remains.
+    """
+    by_arm, by_own = data.jacobian(found.arm_model, least_squares.unknowns_of(found, data))
+    names, arm_names = found.identifiability.names, found.arm_model.parameter_names
+    columns = np.hstack([by_own, by_arm[:, [arm_names.index(name) for name in names[by_own.shape[1] :]]]])
+    rows = columns / found.scatter if found.noise is None else found.noise.whiten(columns)
+    rows, kept = rows[:, found.identifiability.kept], found.identifiability.kept
+    precision = rows.T @ rows / share + np.diag(found.prior_std[kept] ** -2.0)
+    size = np.diag(precision) ** -0.5
+    return np.asarray(np.linalg.inv(precision * np.outer(size, size)) * np.outer(size, size))
+
+
 def leverages(columns: Array) -> Array:
     """Compute the leverage of each equation ``(E,)``, if every parameter has a standard normal prior.
 

@@ -20,7 +20,7 @@ from pickenv.base import InputError
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import joint_columns, screen_units, write_table
-from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, uncertainty_from
+from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, Sizes
 from pickenv.calibration.reading.read import Targets
 
 POSITION_TOLERANCE = 1e-5
@@ -66,8 +66,8 @@ class CorrectedCommands:
     before: Array
     remaining: Array
     impossible: Array
-    uncertainty: tuple[Array | None, Array | None]
-    within95: tuple[Array | None, Array | None]
+    uncertainty: Sizes
+    within95: Sizes
     reasons: dict[int, str]
     lines: tuple[int, ...]
     prismatic: tuple[bool, ...]
@@ -208,11 +208,8 @@ def apply_calibration(
             f"{np.degrees(missed_attitude[i]):.3g} deg remain that a free joint could remove",
         )
     reached[list(reasons)] = False
-    uncertainty = uncertainty_from(calibration.record)
-    sure: tuple[Array | None, Array | None] = (None, None)
-    if uncertainty is not None:
-        repeated = None if conditions is None else conditions.repeated((len(commands),))
-        sure = uncertainty.standard(calibration.model, commands, repeated)
+    repeated = None if conditions is None else conditions.repeated((len(commands),))
+    sure, within = calibration.uncertainty(commands, repeated)
     return CorrectedCommands(
         targets=wanted_joints,
         joints=commands,
@@ -221,7 +218,7 @@ def apply_calibration(
         remaining=remaining,
         impossible=impossible,
         uncertainty=sure,
-        within95=(None, None) if compensator.within95 is None else compensator.within95(commands),
+        within95=within,
         reasons=dict(sorted(reasons.items())),
         lines=targets.lines,
         prismatic=geometry.prismatic,

@@ -17,12 +17,12 @@ from pickenv.arm.files.arm import finite, geometry_arrays, geometry_from_arrays
 from pickenv.base import DO_NOT_USE, FITTED_FRAMES, InputError
 from pickenv.base.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.base.registry import Origin, get, origin
-from pickenv.calibration.assessment.screen import Block, figure
+from pickenv.calibration.assessment.screen import Block, figure, within95
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import InstrumentStation, Measurements, screen_unit
-from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, same_poses
+from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
 from pickenv.calibration.model.terms import specification, term_from
 from pickenv.calibration.residuals.residual_models import LearntResidual
 
@@ -46,13 +46,17 @@ percentile of this uncertainty at the fitted rows."""
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `PoseUncertainty.region`."""
 
+UNCERTAINTY, WITHOUT_RESIDUAL = "uncertainty", "uncertainty_without_residual"
+"""Entries of a calibration's record with a `PoseUncertainty`: of the corrected arm, and without a learnt residual."""
+
 QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
 """The parts of a pose that have an uncertainty. For each: the unit shown, and the factor from SI to this unit."""
 
 ANCHORS = 400
 """Largest number of poses that represent the region in which an arm was measured."""
 
-SHARE = 0.95
+Sizes = tuple[Array | None, Array | None]
+"""Standard uncertainties, or bounds on errors, of position, m, and attitude, rad, at some poses; None if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,7 @@ class PoseUncertainty:
         factors: For each of `QUANTITIES` with enough held-out errors, the entries "factor" and "covered". 95 of 100
             errors are smaller than "factor" times their expected root mean square. "covered" is the share of held-out
             errors below their bound. The bound of an error is computed without the block of rows that holds it.
+        growth: Factors on the two repeats in the uncertainty of a pose, since few held-out errors tell them poorly.
     """
 
     names: tuple[str, ...]
@@ -75,6 +80,7 @@ class PoseUncertainty:
     position_repeat: float
     attitude_repeat: float | None
     factors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    growth: tuple[float, float] = (1.0, 1.0)
 
     def pose_covariance(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Compute the covariance ``(..., 6, 6)`` of the tool pose, m and rad, in world axes.
@@ -95,7 +101,7 @@ class PoseUncertainty:
     @property
     def scatter(self) -> Array:
         """Part of each pose coordinate's variance ``(6,)`` that the parameters do not explain, m^2 and rad^2."""
-        return np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
+        return np.repeat(np.multiply([self.position_repeat, self.attitude_repeat or 0.0], self.growth), 3) ** 2
 
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -135,55 +141,45 @@ class PoseUncertainty:
         """
         return replace(self, position_repeat=0.0).standard(model, joints, conditions)[0]
 
-    def within95(
-        self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
-    ) -> tuple[Array | None, Array | None]:
+    def within95(self, standard: Sizes) -> Sizes:
         """Compute bounds on the errors of position ``(...)``, m, and attitude ``(...)``, rad.
 
         95 of 100 errors are below their bound. A bound is None if there were too few held-out errors to compute it.
-
-        Args:
-            model: The calibrated arm.
-            joints: Joints ``(..., n)``, rad or m.
-            conditions: Payload and temperature, if the model depends on them.
+        ``standard`` are the standard uncertainties of position and attitude (`standard`).
         """
-        return self._radii(self.standard(model, joints, conditions))
-
-    def _radii(self, standard: tuple[Array, Array | None]) -> tuple[Array | None, Array | None]:
-        """Return the bounds `within95` from the standard uncertainties (`standard`) of position and attitude."""
         position, attitude = (
             None if size is None or name not in self.factors else self.factors[name]["factor"] * size
             for name, size in zip(QUANTITIES, standard, strict=True)
         )
         return position, attitude
 
-    def block(self, standard: tuple[Array, Array | None]) -> Block:
+    def block(self, radii: Sizes) -> Block:
         """Return a table of the 95 % bounds on errors (`bounds`), and of the share of held-out errors below them.
 
         Args:
-            standard: Standard uncertainties at N poses (`standard`): position ``(N,)``, m, and attitude ``(N,)``, rad.
+            radii: Bounds at N poses (`within95`): position ``(N,)``, m, and attitude ``(N,)``, rad.
         """
         rows = []
-        for quantity, (low, middle, high) in self.bounds(standard).items():
+        for quantity, (low, middle, high) in self.bounds(radii).items():
             cell = f"{figure(middle)} {QUANTITIES[quantity][0]} ({figure(low)} to {figure(high)})"
             rows.append((quantity, cell, f"{100 * self.factors[quantity]['covered']:.1f} %"))
         heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so")
         note = "by pose; held: of held-out rows, each judged by what was found without its block"
         return Block("How far errors go", heads, tuple(rows), note, "uncertainty")
 
-    def bounds(self, standard: tuple[Array, Array | None]) -> dict[str, list[float]]:
+    @staticmethod
+    def bounds(radii: Sizes) -> dict[str, list[float]]:
         """Compute how the 95 % bounds on errors (`within95`) are distributed over poses.
 
         Args:
-            standard: Standard uncertainties at N poses (`standard`): position ``(N,)``, m, and attitude ``(N,)``, rad.
+            radii: Bounds at N poses (`within95`): position ``(N,)``, m, and attitude ``(N,)``, rad.
 
         Returns:
             The 5th, 50th and 95th percentiles of the bound, for "position" in mm and "attitude" in deg.
         """
-        radii = zip(QUANTITIES.items(), self._radii(standard), strict=True)
         return {
             quantity: np.percentile(radius * scale, [5, 50, 95]).tolist()
-            for (quantity, (_, scale)), radius in radii
+            for (quantity, (_, scale)), radius in zip(QUANTITIES.items(), radii, strict=True)
             if radius is not None
         }
 
@@ -195,6 +191,7 @@ class PoseUncertainty:
             "position_repeat_m": self.position_repeat,
             "attitude_repeat_rad": self.attitude_repeat,
             **{f"{name}_within95": part for name, part in self.factors.items()},
+            **({} if self.growth == (1.0, 1.0) else {"growth": list(self.growth)}),
         }
 
     @staticmethod
@@ -289,43 +286,6 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
     return np.concatenate(parts)
 
 
-def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
-    """Compute the factor such that 95 of 100 errors are smaller than the factor times their expected RMS size.
-
-    Args:
-        joints: Joints of each error's row ``(R, n)``, rad or m.
-        squares: Squared norms of the errors ``(R,)``, m^2 or rad^2.
-        variance: Part of each expected square that the parameters cause ``(R,)``, in the unit of ``squares``.
-        blocks: For each error, an integer that is the same for all errors of one block of rows ``(R,)``; if None,
-            blocks are contiguous tenths of the poses.
-
-    Returns:
-        The entry "factor", and the entry "covered": the share of errors below their bound, where each block's bound
-        comes from all other blocks. None if there are too few errors or blocks.
-    """
-    count = len(squares)
-    if count < 2 * BLOCKS:
-        return None
-    if blocks is None:
-        poses = same_poses(joints)
-        blocks = poses * BLOCKS // (int(poses.max()) + 1)
-    numbers = np.unique(blocks)
-    if len(numbers) < 2:
-        return None
-    ratio = np.zeros(count)
-    for number in numbers:
-        rows = blocks == number
-        ratio[rows] = np.sqrt(squares[rows]) / np.sqrt(squares[~rows].mean() + variance[rows])
-    inside = [ratio[blocks == number] <= _quantile(ratio[blocks != number]) for number in numbers]
-    return {"factor": _quantile(ratio), "covered": float(np.concatenate(inside).mean())}
-
-
-def _quantile(ratio: Array) -> float:
-    """Return the 95 % conformal quantile of n ratios: the one of rank 0.95 (n + 1), rounded up, but n at most."""
-    rank = int(np.ceil(SHARE * (len(ratio) + 1)))
-    return float(np.sort(ratio)[min(rank, len(ratio)) - 1])
-
-
 def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
     """Compute features of joints ``(N, n)``: all revolute joints' sines, then their cosines, then prismatic joints, m.
 
@@ -338,34 +298,38 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
     return np.concatenate([np.sin(turning), np.cos(turning), joints[:, straight]], axis=1)
 
 
-def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:
-    """Return a mask ``(N,)`` of the rows that lie in the region where the arm was measured.
+def measured_there(
+    record: Mapping[str, Any], model: ArmModel, joints: Array, conditions: Conditions | None
+) -> NDArray[np.bool_] | None:
+    """Return a mask ``(N,)`` of the poses that lie in the region where the arm was measured.
 
-    A row lies there if a fitted row is near and the parameters cause little uncertainty of its pose (`VAGUE`).
+    A pose lies there if a fitted row is near and the parameters cause little uncertainty of it (`VAGUE`).
 
     Args:
         record: The calibration's record. The result is None if it holds no region or no uncertainty.
         model: The calibrated arm.
-        data: The rows.
+        joints: Joints ``(N, n)``, rad or m.
+        conditions: Payload and temperature, if the model depends on them.
     """
-    region, sure = record.get(MEASURED_REGION), uncertainty_from(record)
+    region = record.get(MEASURED_REGION)
+    sure = uncertainty_from(record, WITHOUT_RESIDUAL) or uncertainty_from(record)
     if region is None or sure is None:
         return None
     slides = model.geometry.prismatic
     tree = KDTree(joint_features(np.array(region["joints"]), slides))
-    near = tree.query(joint_features(data.joints, slides))[0] <= region["near"]
-    sure_there = sure.from_parameters(model, data.joints, data.conditions) <= VAGUE * region["position_p95_m"]
+    near = tree.query(joint_features(joints, slides))[0] <= region["near"]
+    sure_there = sure.from_parameters(model, joints, conditions) <= VAGUE * region["position_p95_m"]
     return np.asarray(near & sure_there)
 
 
-def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
-    """Read the uncertainty from a calibration's record.
+def uncertainty_from(record: Mapping[str, Any], name: str = UNCERTAINTY) -> PoseUncertainty | None:
+    """Read an uncertainty from a calibration's record; ``name`` is its entry, `UNCERTAINTY` or `WITHOUT_RESIDUAL`.
 
     The result is None if the record holds none, or if its covariance is not finite because the fit had no more
     equations than parameters. Older records hold a scatter that differs from pose to pose; the factors for the bounds
     on 95 of 100 errors are then left out.
     """
-    entry = record.get("uncertainty")
+    entry = record.get(name)
     if not isinstance(entry, Mapping):
         return None
     covariance = np.array(entry["covariance"], dtype=float)
@@ -376,9 +340,8 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
         for name in QUANTITIES
         if f"{name}_within95" in entry and f"{name}_local" not in entry  # that factor is of another scatter
     }
-    return PoseUncertainty(
-        tuple(entry["parameters"]), covariance, float(entry["position_repeat_m"]), entry["attitude_repeat_rad"], factors
-    )
+    repeats, growth = (float(entry["position_repeat_m"]), entry["attitude_repeat_rad"]), entry.get("growth", (1.0, 1.0))
+    return PoseUncertainty(tuple(entry["parameters"]), covariance, *repeats, factors, (growth[0], growth[1]))
 
 
 KIND = "calibration"
@@ -487,23 +450,49 @@ class Calibration:
         """
         if self.arm.tree is not None:
             raise InputError("a whole robot has no one tool to compensate; export its calibration onto its URDF")
-        learnt = self.learnt if with_residual else None
+        if not with_residual:
+            return self.without_residual().compensator(
+                conditions=conditions, iterations=iterations, single_precision=single_precision
+            )
+        learnt = self.learnt
         if learnt is not None:
             (conditions or Conditions()).refuse_other_inputs(self.record)
             learnt = learnt.faster() if fast else learnt
         anything = self.model.terms or learnt is not None
         residual = partial(remainder, self.model, learnt, conditions or Conditions()) if anything else None
-        sure = uncertainty_from(self.record)
-        bounds = None if sure is None else partial(self._within95, sure, conditions)
-        evidence = self.reservations(), bounds, self.caution, self.arm
+        known = uncertainty_from(self.record) is not None
+
+        def bounds(commands: Array) -> Sizes:
+            repeated = None if conditions is None else conditions.repeated(commands.shape[:-1] or (1,))
+            return self.uncertainty(commands, repeated)[1]
+
+        evidence = self.reservations(), bounds if known else None, self.caution, self.arm
         return Compensator(self.nominal, self.identified, residual, iterations, single_precision, *evidence)
 
-    def _within95(
-        self, sure: PoseUncertainty, conditions: Conditions | None, joints: Array
-    ) -> tuple[Array | None, Array | None]:
-        """Compute `PoseUncertainty.within95` at joints ``(..., n)`` under equal conditions at all of them."""
-        repeated = None if conditions is None else conditions.repeated(joints.shape[:-1] or (1,))
-        return sure.within95(self.model, joints, repeated)
+    def uncertainty(self, joints: ArrayLike, conditions: Conditions | None = None) -> tuple[Sizes, Sizes]:
+        """Compute the standard uncertainties of predicted poses, and the bounds that 95 of 100 errors do not exceed.
+
+        Where the arm was not measured, a learnt residual predicts nothing. There they are those of the arm without it.
+
+        Args:
+            joints: Joints ``(..., n)``, rad or m.
+            conditions: Payload and temperature of each pose, if the model depends on them.
+        """
+        sure, joints = uncertainty_from(self.record), np.asarray(joints, dtype=float)
+        if sure is None:
+            return (None, None), (None, None)
+        standard = sure.standard(self.model, joints, conditions)
+        sizes = standard, sure.within95(standard)
+        if self.learnt is None or WITHOUT_RESIDUAL not in self.record:
+            return sizes
+        inside = measured_there(self.record, self.model, joints.reshape(-1, joints.shape[-1]), conditions)
+        there = np.reshape(True if inside is None else inside, joints.shape[:-1])
+        without = self.without_residual().uncertainty(joints, conditions)
+        (position, attitude), within = (
+            [None if a is None or b is None else np.where(there, a, b) for a, b in zip(*pair, strict=True)]
+            for pair in zip(sizes, without, strict=True)
+        )
+        return (position, attitude), (within[0], within[1])
 
     @property
     def caution(self) -> str | None:
@@ -570,8 +559,10 @@ class Calibration:
         return errors
 
     def without_residual(self) -> Calibration:
-        """Return a copy of this calibration without its learnt residual."""
-        return replace(self, learnt=None)
+        """Return a copy of this calibration without its learnt residual, with the uncertainty that it then has."""
+        without = self.record.get(WITHOUT_RESIDUAL)
+        uncertainty = {} if without is None else {UNCERTAINTY: without}
+        return replace(self, learnt=None, record={**self.record, **uncertainty})
 
     def save(self, path: str | Path) -> Path:
         """Write the calibration as one file with a checksum (`pickenv.base.container`), and return the file's path.
@@ -664,8 +655,7 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
         learnt=_learnt(header["residual"], part_of(arrays, "learnt/"), identified),
         record=dict(record),
     )
-    uncertainty = record.get("uncertainty")
-    if uncertainty is not None:
+    for uncertainty in filter(None, map(record.get, (UNCERTAINTY, WITHOUT_RESIDUAL))):
         size = len(uncertainty["parameters"])
         finite({"covariance": np.array(uncertainty["covariance"], dtype=float)}, "covariance", (size, size), "record")
         if not set(uncertainty["parameters"]) <= set(calibration.model.parameter_names):

@@ -29,14 +29,14 @@ from pickenv.calibration.identification.robust import (
     refuse_another_arm,
     rough_start,
 )
-from pickenv.calibration.identification.solve import solve
+from pickenv.calibration.identification.solve import covariance_at, solve
 from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.noise_and_priors import PriorModel, prior_model
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.model.terms import kind_of_term
-from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.calibration import Calibration, PoseUncertainty, variance_by_station
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, fit_residual, position_rms
 
@@ -385,6 +385,53 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
     blocks = np.repeat(np.arange(len(parts)), [len(part.parametric) for part in parts])
     used = tuple(name for part in parts for name in part.used)
     return HeldOut(errors, parametric, used, blocks, pixels=tuple(view for part in parts for view in part.pixels))
+
+
+def pose_uncertainties(
+    fit: Fit, held_out: HeldOut, train: Observations, test: Observations
+) -> tuple[PoseUncertainty, PoseUncertainty | None]:
+    """Compute the uncertainty of predicted poses, and that without the learnt residual; None if none was learnt.
+
+    The covariance of the fit takes for noise all errors that it leaves. A learnt residual removes a part of them, and
+    with it what the parameters err by there. So beside a residual the covariance is that of rows that scatter as
+    held-out errors do with it (`covariance_at`). A few large errors decide how large those of a learnt residual are, so
+    the standard error of their mean square is added to it.
+
+    Args:
+        fit: The fit whose calibration is used.
+        held_out: Its errors on held-out rows.
+        train: The rows that it was fitted to.
+        test: The held-out rows.
+    """
+    found, after, rows = fit.identification, list(held_out.errors.values())[-1], test.rows_of_misses
+    of = partial(
+        PoseUncertainty.of,
+        joints=test.joints[rows],
+        blocks=held_out.blocks,
+        conditions=test.conditions.select(rows),
+        unit=train.miss_unit,
+        variance=None if fit.calibration.arm.tree is None else variance_by_station(found, test)[rows],
+    )
+    if fit.calibration.learnt is None:
+        return of(found, after), None
+    beside, share = found, (position_rms(after) / position_rms(held_out.parametric)) ** 2
+    if np.isfinite(found.covariance).all():
+        beside = replace(found, covariance=covariance_at(found, train, float(np.clip(share, 1e-9, 1.0))))
+    growth = _growth(after[:, :3], held_out.blocks), _growth(after[:, 3:], held_out.blocks)
+    return replace(of(beside, after), growth=growth), of(found, held_out.parametric)
+
+
+def _growth(errors: Array, blocks: Rows | None) -> float:
+    """Return the factor on the RMS of errors ``(M, k)`` that adds its standard error to their mean square.
+
+    ``blocks`` ``(M,)`` has the same integer for errors of one block of rows, which are correlated; None if none are.
+    """
+    if not errors.any():
+        return 1.0
+    squares = np.sum(errors**2, axis=1)
+    if blocks is not None:
+        squares = np.bincount(blocks, squares) / np.bincount(blocks)
+    return float(np.sqrt(1.0 + squares.std() / (squares.mean() * np.sqrt(len(squares)))))
 
 
 def what_is_left(fit: Fit, data: Observations) -> Array:

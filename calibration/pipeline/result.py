@@ -28,7 +28,15 @@ from pickenv.calibration.model.arm_model import CARRIER, ArmModel, fitted_model
 from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Clocks, Observations, equally_spaced, origins_of
 from pickenv.calibration.pipeline import fitting
-from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, PoseUncertainty, variance_by_station
+from pickenv.calibration.pipeline.calibration import (
+    QUANTITIES,
+    UNCERTAINTY,
+    WITHOUT_RESIDUAL,
+    Calibration,
+    PoseUncertainty,
+    Sizes,
+    variance_by_station,
+)
 from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
 from pickenv.calibration.reading.read import joints_of, read_targets
 from pickenv.calibration.residuals.residual_models import GateVerdict, position_rms, selected, verdicts_record
@@ -63,6 +71,7 @@ class Result:
         quality: The verdict and the findings that it comes from.
         uncertainty: Uncertainty of predicted poses.
         base_frame: Interval of the error in the robot's own base frame; None if base and tool were known.
+        unlearnt: Uncertainty of predicted poses without the learnt residual; None if none was learnt.
         terms: The chosen terms and the errors of each candidate; None if terms were not chosen from the rows.
         gate: Verdicts on the residual models; empty if none was judged.
         left_out: Outlier rows, each with whether it was kept or left out.
@@ -81,6 +90,7 @@ class Result:
     quality: Quality
     uncertainty: PoseUncertainty
     base_frame: instrument.BaseFrameError | None
+    unlearnt: PoseUncertainty | None = None
     terms: TermChoice | None = None
     gate: tuple[GateVerdict, ...] = ()
     left_out: tuple[diagnosis.LeftOut, ...] = ()
@@ -140,9 +150,11 @@ class Result:
     def calibration(self) -> Calibration:
         """The calibration with verdict, base-frame error and uncertainty in its record; `save` writes this one."""
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
-        record["uncertainty"] = self.uncertainty.as_record()
+        record[UNCERTAINTY] = self.uncertainty.as_record()
+        if self.unlearnt is not None:
+            record[WITHOUT_RESIDUAL] = self.unlearnt.as_record()
         if np.isfinite(self.uncertainty.covariance).all() and self.arm.nominal.tree is None:
-            record |= self.uncertainty.region(self.fit.calibration.model, self.train)
+            record |= (self.unlearnt or self.uncertainty).region(self.fit.calibration.model, self.train)
         if self.base_frame is not None:
             record["base_frame"] = self.base_frame.as_dict()
         if self.unit is not None:
@@ -208,15 +220,15 @@ class Result:
         return f"{words}{low} to {high} mm (95 % interval; the lower end without the instrument's noise)"
 
     @property
-    def _standard(self) -> tuple[Array, Array | None]:
-        """Standard uncertainties of position, m, and attitude, rad, at the held-out rows, both ``(M,)``.
+    def _within95(self) -> Sizes:
+        """Bounds on 95 of 100 errors of position, m, and attitude, rad, at the held-out rows, both ``(M,)``.
 
-        The attitude's is None if only positions were measured. For a whole robot each station's base and tool are used.
+        A bound that is not known is None. For a whole robot each station's base and tool are used.
         """
         sure, test = self.uncertainty, self.test
         if self.arm.nominal.tree is None:
-            return sure.standard(self.fit.calibration.model, test.joints, test.conditions)
-        return sure.standard_of(variance_by_station(self.fit.identification, test) + sure.scatter)
+            return self.calibration.uncertainty(test.joints, test.conditions)[1]
+        return sure.within95(sure.standard_of(variance_by_station(self.fit.identification, test) + sure.scatter))
 
     def blocks(self) -> tuple[screen.Block, ...]:
         """Return the tables that terminal and HTML page show after verdict and frames; empty tables are left out."""
@@ -242,7 +254,7 @@ class Result:
         blocks += [screen.stiffness_block(self.stiffnesses), screen.harmonic_block(self.harmonics)]
         blocks += [self._gate()] if self.gate else []
         blocks += [] if self.pixels is None else [fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))]
-        sure = self.uncertainty.block(self._standard)
+        sure = self.uncertainty.block(self._within95)
         return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
 
     def __str__(self) -> str:
@@ -486,7 +498,7 @@ class Result:
             "kind": solution.kind,
             "frames": "known" if self.known_frames else "fitted",
             "within95": {name: self.uncertainty.factors.get(name) for name in QUANTITIES},
-            "within95_by_pose": self.uncertainty.bounds(self._standard),
+            "within95_by_pose": self.uncertainty.bounds(self._within95),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
             "stations": self.set_ups,
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
@@ -616,11 +628,7 @@ def assess(
         stated = bool(train.stations) and all(getattr(part, "std_stated", False) for part in train.parts)
         noise = "stated noise" if stated else "noise stated or assumed"
     rows_of = test.rows_of_misses
-    joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
-    variance = None if arm.nominal.tree is None else variance_by_station(fit.identification, test)[rows_of]
-    uncertainty = PoseUncertainty.of(
-        fit.identification, after, joints, held_out.blocks, conditions, train.miss_unit, variance
-    )
+    uncertainty, bare_uncertainty = fitting.pose_uncertainties(fit, held_out, train, test)
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None and arm.nominal.tree is None:
@@ -665,5 +673,16 @@ def assess(
         rows=(len(test.joints), held_out.rows),
     )
     return Result(
-        arm, fit, bare, train, test, held_out, quality, uncertainty, base_frame, left_out=left_out, pixels=pixels
+        arm,
+        fit,
+        bare,
+        train,
+        test,
+        held_out,
+        quality,
+        uncertainty,
+        base_frame,
+        bare_uncertainty,
+        left_out=left_out,
+        pixels=pixels,
     )

@@ -433,7 +433,7 @@ def verify(
         errors, before = calibration.errors(poses), nominal.errors(poses)
     blocks = np.arange(len(others)) * BLOCKS // len(others) if len(others) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
-    inside = measured_there(calibration.record, calibration.model, judging)
+    inside = measured_there(calibration.record, calibration.model, judging.joints, judging.conditions)
     measured = None if inside is None else float(inside.mean())
     region_known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
     count, rms = len(others), float(np.sqrt(expected.mean())) * 1e3
@@ -468,11 +468,10 @@ def _untold(calibration: Calibration) -> list[str]:
 
 def promised(calibration: Calibration, data: Measurements) -> Array:
     """Compute the mean square position error ``(N,)``, m^2, that the calibration's uncertainty promises at each row."""
-    sure = uncertainty_from(calibration.record)
-    if sure is None:
+    (position, _), _ = calibration.uncertainty(data.joints, data.conditions)
+    if position is None:
         return np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
-    squares = sure.standard(calibration.model, data.joints, data.conditions)[0] ** 2
-    return np.asarray(np.maximum(squares, expected_square(data)))
+    return np.asarray(np.maximum(position**2, expected_square(data)))
 
 
 def _since(rest: Rows, errors: Array, expected: Array) -> int | None:

@@ -120,7 +120,7 @@ def stated_radii(calibration: Calibration, joints: Array) -> Array | None:
     The error of a pose is the RMS over its three points. Its square is a sum of nine squares that are not alike, so
     its distribution is taken as a chi-square of the same mean and variance (Satterthwaite). None without covariance.
     """
-    sure = uncertainty_from(calibration.record)
+    sure = uncertainty_from(calibration.without_residual().record)
     if sure is None:
         return None
     model = calibration.model

@@ -24,9 +24,9 @@ from pickenv.calibration import (
     simulated_tracker,
     uncertainty_from,
 )
-from pickenv.calibration.assessment.screen import figure
+from pickenv.calibration.assessment.screen import figure, within95
 from pickenv.calibration.pipeline.apply import CorrectedCommands
-from pickenv.calibration.pipeline.calibration import PoseUncertainty, within95
+from pickenv.calibration.pipeline.calibration import PoseUncertainty
 from pickenv.wrappers import CompensationWrapper
 
 PRISMATIC = (False, True)
@@ -208,7 +208,7 @@ def test_how_far_errors_go_is_the_median_with_the_5th_and_95th_of_100_poses(judg
     sure, model, q = judged.uncertainty, judged.fit.calibration.model, judged.test.joints
     factors = {"position": {"factor": 2.0, "covered": 0.93}, "attitude": {"factor": 3.0, "covered": 0.96}}
     sure = replace(sure, factors=factors)
-    block = sure.block(sure.standard(model, q, judged.test.conditions))
+    block = sure.block(sure.within95(sure.standard(model, q, judged.test.conditions)))
     parts = zip(block.rows, sure.standard(model, q), (2e3, np.degrees(3.0)), ("mm", "deg"), strict=False)
     for (_, said, held), size, scale, unit in parts:
         if size is not None:
@@ -294,12 +294,12 @@ def test_new_reaches_of_an_arm_that_errs_more_where_it_is_stretched_lie_within()
     assert 0.92 < known["covered"] < 0.98
     new = seen(2000)
     missed = np.linalg.norm(new.difference(found.calibration.model), axis=1)
-    radius, _ = found.uncertainty.within95(found.calibration.model, new.joints)
+    radius, _ = found.uncertainty.within95(found.uncertainty.standard(found.calibration.model, new.joints))
     assert radius is not None and np.mean(missed <= radius) == pytest.approx(0.95, abs=0.025)
     assert found.as_dict()["within95"]["position"] == known and f"{100 * known['covered']:.1f} %" in found.report()
     kept = uncertainty_from(found.calibration.record)
     assert kept is not None
-    again, _ = kept.within95(found.calibration.model, new.joints)
+    again, _ = kept.within95(kept.standard(found.calibration.model, new.joints))
     np.testing.assert_allclose(again, radius, rtol=1e-3)
 
 

@@ -307,7 +307,7 @@ def test_a_wrist_that_is_left_out_leaves_the_other_as_it_was(tmp_path: Path) -> 
         motions.append(forward(geometry.between(-1, load_left(geometry)), joints).position)
     sure = one.uncertainty
     assert sure is not None
-    radius, _ = sure.within95(one.calibration.model, joints)
+    radius, _ = sure.within95(sure.standard(one.calibration.model, joints))
     assert radius is not None
     moved = np.linalg.norm(motions[0] - motions[1], axis=1)
     assert np.mean(moved <= radius) > 0.95
