@@ -79,7 +79,7 @@ test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser
 	$(PYTEST) -m browser -n 2 --dist loadfile tests/browser tests/inspect --durations=5 $(ARGS)
 
-claims: $(RUNTIME)
+claims: $(DEVELOPMENT)
 	$(TEST_ENVIRONMENT) $(BIN)/python scripts/claims.py check $(ARGS)
 
 docs: $(DOCS)

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import typer
+from measuring import refuse
 
 from pickenv.base import InputError, listed, share_interval, toml_of, write_json, write_text
 from pickenv.base.intervals import EQUAL
@@ -275,6 +276,8 @@ def check(count: int = 10, seed: int | None = None, only: list[str] | None = Non
     except KeyboardInterrupt:
         print(f"interrupted; the rows above are in the record, and --seed {seed} goes on from there", file=sys.stderr)
         raise
+    except InputError as error:
+        refuse(f"{key_of(row)}: {error}")
     finally:
         write_text(PAGE, page_of(record(), known))
     print(sentence(kept["again"], known))

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,7 @@ def start(clone: Path) -> subprocess.Popen[str]:
     page = (clone / "docs/claims.md").read_text(encoding="utf-8")
     command = re.findall(r"`(make claims ARGS=[^`]*)`", page)[-1]
     return subprocess.Popen(
-        ["sh", "-c", f"exec {command} BIN='{Path(sys.executable).parent}' RUNTIME="],
+        ["sh", "-c", f"exec {command} BIN='{Path(sys.executable).parent}' DEVELOPMENT="],
         cwd=clone,
         env=os.environ | {"PYTHONPATH": str(clone)},
         stdout=subprocess.PIPE,
@@ -53,6 +54,16 @@ def table(clone: Path) -> tuple[int, int]:
 
 def verdicts(shown: str) -> list[bool]:
     return [line.startswith("held") for line in shown.splitlines() if line.startswith(("held", "MISSED"))]
+
+
+@pytest.mark.slow
+def test_a_new_environment_has_what_the_rows_need(clone: Path) -> None:
+    """Rows pick by contact, in other people's tasks, with networks: their packages are installed before the first."""
+    plan = subprocess.run(["make", "-n", "claims"], cwd=clone, capture_output=True, text=True, check=True).stdout
+    assert plan.index('-e ".[dev]"') < plan.index("scripts/claims.py check")
+    extras = tomllib.loads((clone / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    brought = " ".join(extras["dev"])
+    assert "pickenv[all]" in brought and "gymnasium-robotics" in brought and "scene" in extras["all"][0]
 
 
 @pytest.mark.slow

@@ -331,6 +331,20 @@ def test_an_interrupted_drawing_goes_on_where_it_stopped(claims, toy_ledger, cap
     assert claims.page_of(claims.record(), claims.entries()) == claims.PAGE.read_text()
 
 
+def test_a_row_that_cannot_be_made_ends_in_one_sentence_that_names_it(claims, toy_ledger, monkeypatch, capsys):
+    before = claims.record()["again"]
+
+    def refused(row, entry, seed):
+        raise claims.InputError("this needs mujoco, which is not installed")
+
+    monkeypatch.setattr(claims, "made_again", refused)
+    with pytest.raises(claims.typer.Exit) as ended:
+        claims.check(count=1, seed=4)
+    assert ended.value.exit_code == 2 and claims.record()["again"] == before
+    said = capsys.readouterr().err
+    assert said.startswith("t") and said.endswith(": this needs mujoco, which is not installed\n")
+
+
 def test_only_rows_that_are_asked_for_and_have_a_cheap_size_are_drawn(claims, toy_ledger):
     toy_ledger.extend([None] * 3)  # is not interrupted
     claims.check(count=50, seed=4)
