@@ -143,15 +143,13 @@ def test_what_draws_a_population_is_refused_where_there_is_none(make, name, idle
     make(f"pickenv/{name}-v0", arms="per_env", **idle).close()
 
 
-BY_POSITION, PIXELS = {"actions": "position"}, {"obs_type": "pixels"}
+BY_POSITION = {"actions": "position"}
 WITHOUT_EFFECT = [
     ("Pick", {"grip_noise_mm": 2.0}, {}, {"feedback": "gripper"}),
     ("Pick", {"detector": "circles"}, {}, {"vision": "measured_errors"}),
     ("Pick", {"detector": "circles"}, {"vision": "ideal"}, {"vision": "measured_errors"}),
     ("Pick", {"camera": "perfect"}, {"difficulty": "own_eyes"}, {}),
     ("Pick", {"looks": 4}, {"vision": "ideal"}, {"vision": "measured_errors"}),
-    ("PickScene", {"pixels": 32}, {}, PIXELS),
-    ("PickScene", {"cameras": ["wrist"]}, {}, PIXELS),
     ("PickScene", {"without": ["backlash"]}, {"plant": "orchard", "error_mm": 0.0}, {"plant": "orchard"}),
     ("PickScene", {"start_spread": 0.2}, {"within_mm": 40.0}, {}),
     ("Harvest", {"detector": "circles"}, {"vision": "ideal"}, {}),

@@ -205,9 +205,6 @@ class PickSceneEnv(ReachEnv):
         if not isinstance(cameras, list | tuple) or not cameras or any(name not in CAMERAS for name in cameras):
             raise InputError(f"cameras is {shown(cameras)}; give a list of {', '.join(CAMERAS)}")
         check_name("model", "" if model is None else model, "a maker's MJCF file (.xml)")
-        if obs_type == OBSERVATIONS[0]:
-            idle = {"pixels": pixels, "cameras": tuple(cameras)}
-            refuse_idle(PickSceneEnv.__init__, idle, "with obs_type='state'; leave it out, or give another obs_type")
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
         if plant is not None or arguments.get("difficulty") is None:

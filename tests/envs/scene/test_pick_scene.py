@@ -291,8 +291,7 @@ def test_impossible_arguments_are_refused_in_one_sentence(arguments, words):
 
 def test_a_policy_that_sees_makes_up_for_the_arm_but_not_for_its_own_camera():
     def lateral(script, obs_type, camera_mm, **where):
-        pictures = {} if obs_type == "state" else {"obs_type": obs_type, "cameras": ["wrist"], "pixels": 96}
-        env = made(plant="coarse:so101", camera_mm=camera_mm, **pictures, **where)
+        env = made(plant="coarse:so101", obs_type=obs_type, camera_mm=camera_mm, cameras=["wrist"], pixels=96, **where)
         with where_mujoco_draws():
             ends = [played(env, seed, script, "grasp_lateral_mm") for seed in range(8)]
         return np.median([info["grasp_lateral_mm"] for info in ends])
