@@ -23,7 +23,7 @@ from pickenv.agents.policies.adaptive import RememberingPolicy, RememberingReach
 from pickenv.agents.policies.learned import LearnedPolicy, LearnedReach, load_policy
 from pickenv.agents.policies.policy import Policy, attitude_after, read_observation
 from pickenv.arm import Arm, Array, Pose, displace_pose, forward
-from pickenv.base import InputError, obey, read_container, seed_words, stream
+from pickenv.base import InputError, count_of, obey, read_container, seed_words, stream
 from pickenv.base.registry import get, names
 from pickenv.calibration import Calibration
 from pickenv.envs import FEEDBACK, PickVectorEnv, ReachToolVectorEnv, ReachVectorEnv
@@ -228,7 +228,7 @@ def roll_out(
         InputError: If there are no arms or no episodes.
     """
     if arms < 1 or episodes < 1:
-        raise InputError(f"there are {arms} arms and {episodes} episodes; give at least one of each")
+        raise InputError(f"{count_of(arms, 'arm')} and {count_of(episodes, 'episode')} are too few; give one of each")
     arguments |= {"arms": "per_episode", "population": first + arms}
     numbers = np.arange(arms)
     seeds = np.array(episode_seeds(seed, arms * episodes)).reshape(episodes, arms)

@@ -69,7 +69,10 @@ class Training:
 
     def __post_init__(self) -> None:
         check_known("algorithm", self.algorithm, ALGORITHMS)
-        check_known("environment", self.env_id, ENVIRONMENTS)
+        if self.env_id not in ENVIRONMENTS:
+            raise InputError(
+                f"environment '{self.env_id}' cannot be trained on here; give one of {', '.join(ENVIRONMENTS)}"
+            )
         check_limit("seed", self.seed, "seed of training")
         for name, least in (("seed", 0), ("steps", 1), ("checkpoint_every", 1), ("evaluate_every", 1)):
             if name != "steps" or self.steps is not None:

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from scipy.stats import binom
 
 from pickenv.arm import Arm, Array, rotation_matrix, rotation_vector
-from pickenv.base import InputError
+from pickenv.base import InputError, count_of
 from pickenv.calibration.identification.least_squares import Identification, unknowns_of
 from pickenv.calibration.identification.robust import OUTLIER_SIGMA, align, apart, misses_of, robust_fit, sigma_of
 from pickenv.calibration.model.arm_model import frames_model
@@ -262,20 +262,30 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
 
 
 def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Said:
-    """Yield a caution for each file of which all rows were left out.
+    """Yield a caution for each file of which all rows were left out, or all before or from some row on.
 
     Args:
         listed: The rows left out.
         kept: The data sets that remain.
     """
-    used = {origins.files[i] for origins in map(origins_of, kept) for i in np.unique(origins.file).tolist()}
-    for file in dict.fromkeys(item.file for item in listed if not item.kept and item.file not in used):
+    for file in dict.fromkeys(item.file for item in listed if not item.kept):
         count = sum(item.file == file for item in listed)
-        yield (
-            "caution",
-            f"{file}: all {count} rows are far off from the other files', and left out: check that they are of this "
-            "arm, with the same units, joint signs and order of rows, or leave the file out",
-        )
+        far = [item.line for item in listed if item.file == file and item.sigma is not None]
+        places = (origins_of(data).place(row) for data in kept for row in range(len(data.joints)))
+        used = [line for name, line in places if name == file]
+        if not used:
+            yield (
+                "caution",
+                f"{file}: all {count} rows are far off from the other files', and left out: check that they are of "
+                "this arm, with the same units, joint signs and order of rows, or leave the file out",
+            )
+        elif len(far) >= SIDE and (min(far) > max(used) or max(far) < min(used)):
+            these = f"from row {min(far)} on" if min(far) > max(used) else f"up to row {max(far)}"
+            yield (
+                "caution",
+                f"{file}: all rows {these} are far off, and left out: the instrument was probably moved there, so give "
+                "these rows as a file of their own",
+            )
 
 
 def said_of_stations(found: Identification, data: Observations) -> Said:
@@ -435,7 +445,7 @@ def _blind_views(views: PixelObservations) -> dict[int, str]:
     least, remarks = LEAST_CORNERS if found else 1, views.remarks
     reasons = {}
     for row in np.flatnonzero(counts < least).tolist():
-        few = f"{counts[row]} {'corner' if counts[row] == 1 else 'corners'} found; a view needs {least}"
+        few = f"{count_of(counts[row], 'corner')} found; a view needs {least}"
         reasons[row] = (str(remarks[row]) if remarks is not None else "") or few
     clear = np.setdiff1d(np.arange(len(counts)), list(reasons))
     starts = views.starters()

@@ -15,7 +15,7 @@ import numpy as np
 
 from pickenv.arm import Arm, Geometry, forward, identity_pose
 from pickenv.arm.plant.iso9283 import CYCLES, FEWEST_CYCLES, pose_drift, pose_performance
-from pickenv.base import InputError
+from pickenv.base import InputError, count_of
 from pickenv.calibration.identification.robust import refuse_another_arm, registered
 from pickenv.calibration.model.measurements import Measurements, joint_columns, screen_units
 from pickenv.calibration.model.observations import Rows, nearest_rotation, origins_of, same_poses
@@ -50,7 +50,7 @@ def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
         i = int(np.argmax(counts < FEWEST_CYCLES))
         file, line = origins_of(rows).place(int(cycles[i][0]))
         raise InputError(
-            f"{file}: P{i + 1}, the pose of row {line}, has {counts[i]} cycle{'s' * int(counts[i] > 1)}, and "
+            f"{file}: P{i + 1}, the pose of row {line}, has {count_of(counts[i], 'cycle')}, and "
             f"repeatability needs {FEWEST_CYCLES} of each pose; measure more, or remove the rows of such poses "
             f"({int((counts < FEWEST_CYCLES).sum())} of {len(counts)})"
         )

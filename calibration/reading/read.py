@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Array, Geometry, Pose, inverse, rotation_matrix
-from pickenv.base import TO_SI, InputError, listed, register, shortened
+from pickenv.arm import Arm, Array, Geometry, Pose, inverse, rotation_matrix
+from pickenv.base import TO_SI, InputError, listed, register, shortened, shown
 from pickenv.base.registry import get
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import (
@@ -31,13 +31,13 @@ from pickenv.calibration.reading.table_files import read_log
 
 
 def read_measurements(
-    path: str | Path, geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
+    path: str | Path, geometry: Geometry | Arm, columns: str | Path | None = None, *, repeats: bool = False
 ) -> Measurements:
     """Read a file of poses or positions.
 
     Args:
         path: The file.
-        geometry: The arm's nominal geometry, for joint count and types.
+        geometry: The arm, or its nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for pickenv's own format.
         repeats: Whether a row may equal another to the last digit, as repeated measurements of a pose can. If False,
             such rows are refused.
@@ -55,7 +55,7 @@ def read_measurements(
 
 
 def read_observations(
-    paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
+    paths: Sequence[str | Path], geometry: Geometry | Arm, columns: str | Path | None = None, *, repeats: bool = False
 ) -> Observations:
     """Read measurements of any kind from one file, or from several files of one layout, as one data set.
 
@@ -63,7 +63,7 @@ def read_observations(
 
     Args:
         paths: The files.
-        geometry: The arm's nominal geometry, for joint count and types.
+        geometry: The arm, or its nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for pickenv's own format.
         repeats: Whether a row may equal another to the last digit, as repeated measurements of a pose can. If False,
             such rows are refused.
@@ -79,19 +79,22 @@ def read_observations(
 
 
 def read_scene(
-    paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
+    paths: Sequence[str | Path], geometry: Geometry | Arm, columns: str | Path | None = None, *, repeats: bool = False
 ) -> list[Observations]:
     """Read measurements as `read_observations` does, as one data set for each sensor and target of their rows.
 
     Args:
         paths: The files.
-        geometry: The arm's nominal geometry, for joint count and types.
+        geometry: The arm, or its nominal geometry, for joint count and types.
         columns: Name or path of a column description, whose [scene] may name columns of sensors and targets.
         repeats: Whether a row may equal another to the last digit.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
     """
+    geometry = geometry.nominal if isinstance(geometry, Arm) else geometry
+    if not isinstance(geometry, Geometry):
+        raise InputError(f"geometry is {shown(geometry)}; give the arm, as `pickenv.load_arm` returns it")
     if not paths:
         raise InputError("no measurement file was given; give at least one")
     table_files.refuse_repeated(paths)

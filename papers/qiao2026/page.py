@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from papers.pages import Columns, said, table, titled
 from papers.qiao2026.methods import Left, Protocol
 from pickenv.arm import Array
+from pickenv.base import count_of
 from pickenv.inspect.colours import between, estimated
 from pickenv.inspect.figures import plot_calibration, plot_errors
 from pickenv.inspect.figures.run_drawings import Drawing
@@ -93,7 +94,7 @@ def method_tables(result: Mapping[str, Any]) -> list[PageTable]:
     four, six, counts = result["tables"]["4"], result["tables"]["6"], result["counts"]
     tables = []
     for i, plant in enumerate(result["plants"]):
-        title = f"Table 4 on plant {plant}, Table 1's arm ({_counted(counts['runs'], 'run')}); in brackets 95 %"
+        title = f"Table 4 on plant {plant}, Table 1's arm ({count_of(counts['runs'], 'run')}); in brackets 95 %"
         rows = [row for row in four["rows"] if row["plant"] == plant]
         tables.append(table(title if i else said(title, four), rows, {**paired("ours"), **WHY}))
     reductions: Columns = {
@@ -132,7 +133,7 @@ def method_tables(result: Mapping[str, Any]) -> list[PageTable]:
     rows = [{"claim": claim} | row for claim, part in result["claims"].items() for row in part["rows"]]
     title = (
         f"What the paper concludes: differences of mean errors over {counts['arms']} arms of tolerance class "
-        f"{result['tolerance_class']}, {_counted(counts['seeds'], 'seed')} each; an arm counts once"
+        f"{result['tolerance_class']}, {count_of(counts['seeds'], 'seed')} each; an arm counts once"
     )
     tables.append(table(title, rows, differences, "+.3f"))
     rows = [{"method": name} | eta for name, eta in four["eta_percent"].items()]
@@ -150,10 +151,6 @@ def method_tables(result: Mapping[str, Any]) -> list[PageTable]:
     }
     title = said("Table 6, the real arm against our SIMULATED twin", six)
     return [*tables, table(title, six["rows"], {**paired("twin"), **whole, **WHY})]
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _estimate(mean: float, ends: Sequence[float] | None) -> str:

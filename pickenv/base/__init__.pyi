@@ -30,6 +30,7 @@ from .extras import (
 )
 from .files import (
     Progress as Progress,
+    count_of as count_of,
     decimal_number as decimal_number,
     folded as folded,
     in_file as in_file,

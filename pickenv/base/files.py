@@ -213,6 +213,11 @@ def listed(names: Iterable[str], length: int = 600) -> str:
     return shortened(", ".join(shortened(name) for name in names), length)
 
 
+def count_of(count: float, noun: str, plural: str = "") -> str:
+    """Return a count with its noun: "1 arm", "2 arms"; the plural is ``plural``, or the noun and an s."""
+    return f"{count} {noun if count == 1 else plural or noun + 's'}"
+
+
 def unknown(what: str, name: str, known: Sequence[str], where: str = "") -> str:
     """Return a message on a name that is not known, with the known name that is most like it, and all of them.
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from typer import Argument, Option
 
 import pickenv
-from pickenv.base import InputError, command_line, file_sha256, screen_width, separate, write_json, write_text
+from pickenv.base import InputError, command_line, count_of, file_sha256, screen_width, separate, write_json, write_text
 from pickenv.commands import showing
 from pickenv.commands.learning import NO_CAMERA
 
@@ -124,7 +124,8 @@ def _print_comparison(episodes: pickenv.inspect.RecordedEpisodes, details: bool)
     heads: Sequence[str] = comparison_summary.HEADS
     shown = range(len(heads)) if details else BRIEF
     showing.print_table(
-        f"{len(episodes.seeds)} episodes of {episodes.env_id}, the same for all; gripper {episodes.gripper}",
+        f"{count_of(len(episodes.seeds), 'episode')} of {episodes.env_id}, the same for all; "
+        f"gripper {episodes.gripper}",
         [heads[i] for i in shown],
         [[row[i] for i in shown] for row in rows],
         words=("policy",),

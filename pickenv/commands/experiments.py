@@ -12,7 +12,7 @@ import typer
 from typer import Option
 
 import pickenv
-from pickenv.base import InputError, locked, require, screen_width, separate, unseen_share
+from pickenv.base import InputError, count_of, locked, require, screen_width, separate, unseen_share
 from pickenv.commands import showing
 from pickenv.commands.showing import CommandOfNames, check_workers, deliver, print_table, progress_bars
 
@@ -360,7 +360,7 @@ def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], det
     hidden = {*alike, *(["not\njudged"] if not any(row["failed"] for row in rows) else [])}
     heads = [name for name in cells if name not in hidden]
     title = (
-        f"{summary['arms']} simulated arms of plant {summary['plant']}, {summary['fruit']} fruit each, "
+        f"{count_of(summary['arms'], 'simulated arm')} of plant {summary['plant']}, {summary['fruit']} fruit each, "
         f"seed {summary['seed']}" + (f"; all {constant}" if constant else "")
     )
     caption = (

@@ -12,7 +12,7 @@ import typer
 from typer import Option
 
 import pickenv
-from pickenv.base import InputError, command_line, require, separate
+from pickenv.base import InputError, command_line, count_of, require, separate
 from pickenv.commands.showing import MOST, PARAMETERS, arguments_for, deliver, print_table, print_verdict, progress_bars
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
@@ -262,7 +262,8 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
 
     print_verdict("\n".join(nearest_words(rows, comparisons)))
     episodes = rows[0]["episodes"] // (rows[0]["trainings"] or 1)
-    title = f"{episodes} reaches per cell on {rows[0]['arms']} arms, seed {rows[0]['seeds'][0]}"
+    reaches, arms = count_of(episodes, "reach", "reaches"), count_of(rows[0]["arms"], "arm")
+    title = f"{reaches} per cell on {arms}, seed {rows[0]['seeds'][0]}"
     if not details:
         heads, cells = pivoted(rows)
         missing = rows[0]["no_interval"]

@@ -26,7 +26,7 @@ from pickenv.agents.policies.scripted import HASTY
 from pickenv.arm import Plant, plant_at
 from pickenv.arm.plant.plant import plants_on
 from pickenv.arm.plant.plant_file import class_of, draw_arms
-from pickenv.base import InputError, check_limit, file_sha256, seed_words, stream
+from pickenv.base import InputError, check_limit, count_of, file_sha256, seed_words, stream
 from pickenv.base.registry import names, origin
 from pickenv.envs import PickVectorEnv, ReachVectorEnv
 from pickenv.envs.shared.difficulty import on_ladder
@@ -135,7 +135,7 @@ class PolicySettings:
             return own | {"plant": plant, "tolerances": tolerances, "population_seed": population_seed(seed)}
         fixed = on_ladder(task, difficulty=plant.removeprefix(RUNG), split=self.split or "test")
         if (asked := self.arms * len(self.levels("seeds"))) > (most := fixed.get("population", 1)):
-            raise InputError(f"{plant} has {most} arms to be judged on; {asked} were asked for")
+            raise InputError(f"{plant} has {count_of(most, 'arm')} to be judged on; {asked} were asked for")
         arms = {name: value for name, value in fixed.items() if name not in ("arms", "population")}
         return own | arms | (sight if own and feedback == "encoders" else {})
 

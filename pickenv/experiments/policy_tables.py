@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pickenv.agents import Training
 from pickenv.agents.evaluation.contenders import kind_of
-from pickenv.base import Estimate, InputError, command_line, estimate, listed, refusing_damage, write_json
+from pickenv.base import Estimate, InputError, command_line, count_of, estimate, listed, refusing_damage, write_json
 from pickenv.envs.shared.difficulty import LADDER
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.experiments.engine import Experiment, Rows, piece_table, pivot, run, write_piece
@@ -257,13 +257,14 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         rows, worth = _labelled(content["rows"]), _labelled(content["comparisons"])
     nearest, *others = nearest_words(rows, worth)
     first, text = rows[0], [f"{sentence}." for sentence in others]
+    reaches = count_of(first["episodes"] // (first["trainings"] or 1), "reach", "reaches")
     over = f"Intervals are at 95 % over {first['interval_over']}."
     text.append(over if first["ci95"] else f"No intervals: {first['no_interval']}.")
     verdict = PageVerdict("note", as_sentence(nearest), as_sentence(" ".join(text)))
     names = ("policy", "feedback", "plant")
     tables = (
         PageTable(
-            f"Final position errors; {first['episodes'] // (first['trainings'] or 1)} reaches on {first['arms']} arms, "
+            f"Final position errors; {reaches} on {count_of(first['arms'], 'arm')}, "
             "the same for all. Mean, median and 95th percentile are over arms, in brackets and beside the mean 95 % "
             "intervals; those of one training say nothing of another one",
             ("policy", "calibration", *KEYS[2:], *HEADS),

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.base import listed
+from pickenv.base import count_of, listed
 from pickenv.experiments.engine import Rows
 from pickenv.experiments.gains import LEARNT, LS
 from pickenv.experiments.robots import SETS, SPREAD, BenchSettings
@@ -168,10 +168,9 @@ def points_words(found: Mapping[str, Any]) -> str:
         medians.append(f"{row['model']} {row['median_points']:.1f} (at most {row['worst_points']:.1f}){beside}")
         if null is not None and row["median_points"] >= null and row["worst_points"] >= row["null_worst_points"]:
             idle.append(row["model"])
-    sets = "set" if found["sets"] == 1 else "sets"
     words = (
-        f"{found['gains']} gains on blocks of {found['sets']} {sets} of rows. Percentage points between a twin's "
-        f"prediction and what was measured, the median: {'; '.join(medians)}. "
+        f"{count_of(found['gains'], 'gain')} on blocks of {count_of(found['sets'], 'set')} of rows. Percentage points "
+        f"between a twin's prediction and what was measured, the median: {'; '.join(medians)}. "
     )
     if idle:
         words += f"Of {listed(idle)} a twin promises nothing: the mean of the other robots is as near. "

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from pyarrow.dataset import Dataset
 
 from pickenv.arm import Array
-from pickenv.base import InputError, share_interval
+from pickenv.base import InputError, count_of, share_interval
 from pickenv.experiments import study
 from pickenv.experiments.study_rows import Row, held, quantiles_of, read_rows, study_of, yields_of
 from pickenv.experiments.study_variance import sensitivities_of
@@ -158,8 +158,8 @@ def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict
     if config.arms < FEW:
         low, high = share_interval(config.arms / 2, config.arms)
         text.append(
-            f"{config.arms} arms tell a yield to within about ± {50 * (high - low):.0f} points only: this is a trial "
-            "run, and another seed gives other figures within that."
+            f"{count_of(config.arms, 'arm')} can tell a yield to within about ± {50 * (high - low):.0f} points only: "
+            "this is a trial run, and another seed gives other figures within that."
         )
     return PageVerdict(tone, _capital(headline), " ".join(text))
 
@@ -384,7 +384,7 @@ def _judged(quantiles: Sequence[Row]) -> list[Row]:
 def _arms(rows: Sequence[Row]) -> str:
     """Return words for the largest number of arms in any of ``rows``; fewer than `FEW` are called a trial run."""
     arms = max((int(row["arms"]) for row in rows), default=0)
-    return f"{arms} arms" + f" (a trial run: fewer than {FEW})" * (arms < FEW)
+    return count_of(arms, "arm") + f" (a trial run: fewer than {FEW})" * (arms < FEW)
 
 
 def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, note: str) -> Figure:

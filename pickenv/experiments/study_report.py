@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from pickenv.arm import forward, plant_at, pose_error
-from pickenv.base import InputError, command_line, write_text
+from pickenv.base import InputError, command_line, count_of, write_text
 from pickenv.experiments import study_findings
 from pickenv.experiments.study import LS, OK, RAW, StudyConfig, arm_commands, carrying, prepared_study
 from pickenv.experiments.study_findings import Findings, gather, ranked, setting_label, study_drawings
@@ -104,8 +104,8 @@ def study_page(folder: str | Path, findings: Findings) -> str:
     )
     return html_of(
         f"Tolerance study of {findings.protocol.design.name}",
-        f"{config.arms} simulated arms in each of {len(findings.yields)} settings, {config.fruit} fruit each, seed "
-        f"{config.seed}; nothing here was measured",
+        f"{count_of(config.arms, 'simulated arm')} in each of {count_of(len(findings.yields), 'setting')}, "
+        f"{config.fruit} fruit each, seed {config.seed}; nothing here was measured",
         replace(verdict, headline=in_words(verdict.headline), text=in_words(verdict.text)),
         sections,
         _origin(Path(folder), config, summary),

@@ -169,7 +169,8 @@ def refusals(short, tmp_path):
     (tmp_path / "text").mkdir()
     (tmp_path / "text" / "checkpoint.pt").write_text("not a checkpoint")
     yield (lambda: Training("dqn"), "unknown algorithm 'dqn'; give one of ppo, sac, tqc")
-    yield (lambda: Training("ppo", "CartPole-v1"), "unknown environment 'CartPole-v1'; give one of")
+    for name in ("CartPole-v1", "Harvest", "pickenv/Harvest-v0"):  # these are environments all the same
+        yield (lambda name=name: Training("ppo", name), f"^environment '{name}' cannot be trained on here; give one of")
     yield (lambda: Training("ppo", steps=0), "steps is 0; give a whole number of at least 1")
     yield (lambda: Training("ppo", steps=1e5), "steps is 100000.0; give a whole number")
     yield (lambda: Training("ppo", evaluate_every=0), "evaluate_every is 0; give a whole number of at least 1")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.base import InputError, separate, write_text, write_whole
+from pickenv.base import InputError, count_of, separate, write_text, write_whole
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "PYTHONUNBUFFERED": ""}
 POSIX = pytest.mark.skipif(os.name == "nt", reason="as POSIX has it")
@@ -303,3 +303,8 @@ def test_different_files_shipped_names_and_devices_are_no_conflict(data):
     separate({"--arm": "ur5", "FILES": [data]}, {"--out": Path("ur5"), "--json": data.with_suffix(".json")})
     separate({"FILES": fifo}, {"--out": fifo, "--json": fifo})
     separate({"--columns": None}, {"--run": ["report.html", "report.html"], "--report": None})
+
+
+def test_a_count_of_one_is_singular():
+    assert [count_of(n, "arm") for n in (0, 1, 2)] == ["0 arms", "1 arm", "2 arms"]
+    assert [count_of(n, "reach", "reaches") for n in (1, 3)] == ["1 reach", "3 reaches"]

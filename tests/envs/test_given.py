@@ -143,6 +143,33 @@ def test_what_draws_a_population_is_refused_where_there_is_none(make, name, idle
     make(f"pickenv/{name}-v0", arms="per_env", **idle).close()
 
 
+BY_POSITION = {"actions": "position"}
+WITHOUT_EFFECT = [
+    ("Pick", {"grip_noise_mm": 2.0}, {}, {"feedback": "gripper"}),
+    ("Pick", {"detector": "circles"}, {}, {"vision": "measured_errors"}),
+    ("Pick", {"detector": "circles"}, {"vision": "ideal"}, {"vision": "measured_errors"}),
+    ("Pick", {"camera": "perfect"}, {"difficulty": "own_eyes"}, {}),
+    ("Pick", {"looks": 4}, {"vision": "ideal"}, {"vision": "measured_errors"}),
+    ("PickScene", {"without": ["backlash"]}, {"plant": "orchard", "error_mm": 0.0}, {"plant": "orchard"}),
+    ("PickScene", {"start_spread": 0.2}, {"within_mm": 40.0}, {}),
+    ("Harvest", {"detector": "circles"}, {"vision": "ideal"}, {}),
+    ("Harvest", {"spacing_mm": 400.0}, {"slaves": 1}, {"slaves": 2}),
+    ("ReachTool", {"tool_turn_deg": 5.0}, BY_POSITION, {}),
+    ("ReachTool", {"angle_tolerance_deg": 1.0}, BY_POSITION, {}),
+]
+"""Environments, and an argument of each; others beside which it changes nothing, and others beside which it counts."""
+
+
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec], ids=["one", "vector"])
+@pytest.mark.parametrize(("name", "idle", "beside", "needed"), WITHOUT_EFFECT, ids=str)
+def test_an_argument_without_effect_is_refused_and_its_default_is_not(make, name, idle, beside, needed):
+    (argument,) = idle
+    with pytest.raises(InputError, match=f"^{argument} has no effect .*; (leave it out|give that with it)"):
+        make(f"pickenv/{name}-v0", **idle, **beside)
+    make(f"pickenv/{name}-v0", **beside).close()
+    make(f"pickenv/{name}-v0", **idle, **needed).close()
+
+
 @pytest.mark.parametrize("name", ["Reach", "ReachGoal", "ReachIdeal", "ReachScaled", "ReachTool", "Pick", "Harvest"])
 def test_every_native_vector_takes_the_executor_with_which_it_is_what_one_is_alone(name):
     one = gym.make(f"pickenv/{name}-v0", executor="numpy")

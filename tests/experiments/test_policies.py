@@ -465,7 +465,7 @@ def test_on_a_rung_every_seed_s_arms_are_behind_their_own_calibrations() -> None
 
 
 def test_a_rung_without_error_or_with_fewer_arms_is_refused() -> None:
-    with pytest.raises(InputError, match="rung:ideal has 1 arms to be judged on; 20 were asked for"):
+    with pytest.raises(InputError, match="rung:ideal has 1 arm to be judged on; 20 were asked for"):
         run_policies(replace(RUNGS, plants=("rung:ideal",)))
     with pytest.raises(InputError, match="difficulty is 'hard'; give one of ideal, fine"):
         run_policies(replace(RUNGS, plants=("rung:hard",)))

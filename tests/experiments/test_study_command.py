@@ -36,7 +36,7 @@ def test_a_study_prints_writes_and_sums_up(study_file, tmp_path, typed, monkeypa
     assert {row["quantity"] for row in summary["quantiles_mm"]} >= {"error_mean_mm", "error_p95_mm"}
     for word in ("yield", "IT", "(mm)", "(kg)", "Wilson 95 % interval", "within 1 mm", "simulated", "all class medium"):
         assert word in ran.stdout
-    assert "12 arms tell a yield to within about ±" in " ".join(ran.stdout.split())
+    assert "12 arms can tell a yield to within about ±" in " ".join(ran.stdout.split())
     assert "12 arms are too few to divide their variance" in ran.stdout
     assert max(len(line) for line in ran.stdout.splitlines() if line[:5] not in ("wrote", "seria")) <= 80
     assert summary["table_sha256"] in ran.stdout

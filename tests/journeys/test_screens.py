@@ -190,6 +190,16 @@ def test_policies_are_compared_on_a_screen_and_each_has_a_line(folder: Path) -> 
     assert any("median (mm)" in line for line in more) and any(line.startswith("Fruit by fruit") for line in more)
 
 
+def test_one_arm_and_one_reach_are_singular(folder: Path) -> None:
+    command = ("evaluate", "--policy", "scripted", "--compensation", "raw", "--arms", 1, "--episodes", 1)
+    lines = screen(*command, "--out", "one")
+    assert any("1 reach per cell on 1 arm, seed 0" in line for line in lines), lines
+    screen("report", "one")
+    assert "Final position errors; 1 reach on 1 arm, the same for all" in Path("one/report.html").read_text("utf-8")
+    lines = screen("compare", "scripted", "--episodes", 1, "--out", "compared")
+    assert any(line.strip().startswith("1 episode of pickenv/") for line in lines), lines
+
+
 @pytest.mark.slow
 def test_many_arms_fit_a_screen(folder: Path) -> None:
     check(screen("evaluate", "--arms", 2, "--episodes", 4))

@@ -16,7 +16,15 @@ from pickenv.arm import Array, leaves
 from pickenv.base import MM, NUMBER, InputError, is_there, read_toml, shown, toml_table
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_flag, check_number
+from pickenv.envs.shared.task import (
+    MOST_ACTION,
+    Compensate,
+    as_numbers,
+    check_choice,
+    check_flag,
+    check_number,
+    refuse_idle,
+)
 from pickenv.harvester.harvest_run import attempt, draw_luck, pushes
 from pickenv.harvester.pick_points import AHEAD, PICKING_FILE, lab_zone, tree_leaves
 from pickenv.harvester.work import arm_distances, pair_distances, pairs_of
@@ -196,11 +204,15 @@ def make_harvest_task(
     if spacing_mm is not None:
         check_number("spacing_mm", spacing_mm, positive=True)
     machine = harvester.load_machine(slaves=slaves, spacing=None if spacing_mm is None else spacing_mm * 1e-3)
+    if machine.arms == 1:
+        refuse_idle(make_harvest_task, {"spacing_mm": spacing_mm}, "on one slave; leave it out, or give more slaves")
     true = harvester.load_true_machine(machine)
     if ideal:
         true = true.ideal()
     orchard = harvester.load_orchard(canopy=canopy)
     eyes = load_eyes(vision, orchard.canopy, detector)
+    if vision == "ideal":
+        refuse_idle(make_harvest_task, {"detector": detector}, "with vision='ideal'; leave it out, or give another")
     most = MOST_ACTION[out_of_range]
     compiled = executor == "auto" and is_there("llvmlite")
     return HarvestTask(machine, true, harvester.load_picking(), load_rules(), orchard, eyes, int(fruit), most, compiled)

@@ -25,7 +25,7 @@ from pickenv.envs.picking.pick_arm import UP, Reach
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import MOST_HOURS
 from pickenv.envs.shared.spaces import action_space, box
-from pickenv.envs.shared.task import Task, as_numbers, check_choice, check_count, check_number, make_task
+from pickenv.envs.shared.task import Task, as_numbers, check_choice, check_count, check_number, make_task, refuse_idle
 from pickenv.orchard import DRAWS
 
 FATES = ("attempted", "attached", "detached", "collected", "damaged")
@@ -474,6 +474,12 @@ def make_pick(
     check_choice("order", order, tuple(ORDERS))
     check_known("vision", vision, (PUBLISHED, *trees.VISIONS))
     check_known("detector", detector, trees.DETECTORS)
+    if feedback == "encoders":
+        refuse_idle(make_pick, {"grip_noise_mm": grip_noise_mm}, "without feedback='gripper'; give that with it")
+    of_sight: dict[str, Any] = {"detector": detector} if vision in (PUBLISHED, "ideal") else {}
+    of_sight |= {} if vision == PUBLISHED else {"camera": camera}
+    of_sight |= {"looks": looks} if vision == "ideal" else {}
+    refuse_idle(make_pick, of_sight, f"with vision='{vision}'; leave it out, or give another vision")
     row, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
     station = trees.load_station("qiao2026")
     section = replace(

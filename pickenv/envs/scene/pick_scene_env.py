@@ -22,8 +22,18 @@ from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import RENDER_MODES, Information
 from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
+from pickenv.envs.shared.situation import make_situation
 from pickenv.envs.shared.spaces import GOALS, action_space, flat_space
-from pickenv.envs.shared.task import Task, check_choice, check_count, check_name, check_number, checked_action
+from pickenv.envs.shared.task import (
+    Task,
+    check_choice,
+    check_count,
+    check_name,
+    check_number,
+    checked_action,
+    make_task,
+    refuse_idle,
+)
 from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper, load_suction
 from pickenv.orchard.gripper import misalignment
 from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
@@ -201,6 +211,12 @@ class PickSceneEnv(ReachEnv):
             arguments["plant"] = USUAL_PLANT if plant is None else plant
         self._error, self.pixels = error_mm, int(pixels)
         super().__init__(executor="floats", control_period_s=control_period_s, **arguments)
+        if error_mm is not None:
+            idle = {"without": tuple(arguments.get("without", ()))}
+            refuse_idle(make_task, idle, "with error_mm, which switches all effects off; leave it out")
+        if within_mm is not None:
+            idle = {"start_spread": arguments.get("start_spread", 0.0)}
+            refuse_idle(make_situation, idle, "with within_mm, where episodes start before the fruit; leave it out")
         self.render_mode = render_mode
         self.plant = self._scaled(self.plant)
         self.task = task = replace(self.task, gripper=1)

@@ -6,7 +6,7 @@ SI units, except where a name says otherwise.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from inspect import signature
@@ -349,12 +349,10 @@ def make_task(
     check_count("population", population)
     check_limit("population", int(population), "population")
     check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
-    of_populations = {"tolerances": tolerances != "medium", "population": population != 256}
-    of_populations["population_seed"] = population_seed != 0 and class_of(plant) is None
-    if arms == "fixed" and (idle := [name for name in of_populations if of_populations[name]]):
-        raise InputError(
-            f"{idle[0]} has no effect on the plant's own arm; give arms='per_episode' or 'per_env' with it"
-        )
+    if arms == "fixed":
+        idle: dict[str, Any] = {"tolerances": tolerances, "population": population}
+        idle |= {"population_seed": population_seed} if class_of(plant) is None else {}
+        refuse_idle(make_task, idle, "on the plant's own arm; give arms='per_episode' or 'per_env' with it")
     true_arm = load_true_arm(plant, without, population_seed)
     if arms != "fixed":
         true_arm = draw_arms(plant, tolerances, population, np.random.default_rng(population_seed), without=without)
@@ -398,6 +396,19 @@ def refuse_unknown(env: Any, arguments: Iterable[str], *makers: Callable[..., An
     for name in arguments:
         if name not in taken:
             raise InputError(unknown("argument", name, taken))
+
+
+def refuse_idle(maker: Callable[..., Any], values: Mapping[str, Any], where: str) -> None:
+    """Raise an `InputError` that names an argument which would change nothing; defaults are accepted.
+
+    Args:
+        maker: Function whose signature has the defaults.
+        values: Values of the arguments without effect, by name.
+        where: End of the message: where they have none, and what to do.
+    """
+    for name, value in values.items():
+        if value != signature(maker).parameters[name].default:
+            raise InputError(f"{name} has no effect {where}")
 
 
 OF_TASKS = (make_task, make_situation)
@@ -589,6 +600,10 @@ def make_tool_task(
     if goal_spread > 1:
         raise InputError(f"goal_spread is {goal_spread}; give a share of the joints' ranges, above 0 and at most 1")
     task, count = make_task(**arguments), ACTIONS[actions]
+    if actions == "position":
+        without_attitude = "where no attitude is asked for; leave it out, or give actions='pose'"
+        refuse_idle(make_tool_task, {"tool_turn_deg": tool_turn_deg}, without_attitude)
+        refuse_idle(make_task, {"angle_tolerance_deg": task.angle_tolerance_deg}, without_attitude)
     if task.joints < count:
         other = "; give actions='position'" if 3 <= task.joints < count else ""
         raise InputError(

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Geometry
-from pickenv.base import InputError
+from pickenv.base import InputError, count_of
 from pickenv.inspect.colours import OTHERS, RED, policy_colours
 from pickenv.inspect.figures import style
 
@@ -52,7 +52,7 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
             style.plain_decades(axes.yaxis)
         first, last = (style.short(float(rms[i])) for i in (0, -1))
         count = len(rms) - 1
-        style.headline(panels[0], f"Least squares: {first} to {last} mm in {count} iteration{'s' * (count != 1)}")
+        style.headline(panels[0], f"Least squares: {first} to {last} mm in {count_of(count, 'iteration')}")
     return figure
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from pickenv.base import count_of
 from pickenv.inspect.colours import TEXTS, as_sentence, in_words
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_fields
@@ -51,5 +52,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     headline, text = map(as_sentence, (summary.outcome_sentence(episodes), summary.explanation(episodes)))
     verdict = PageVerdict("note", headline, text)
     plant = f" on the plant {in_words(episodes.plant_name)}" if episodes.plant_name else ""
-    subtitle = f"Simulated; {len(episodes.seeds)} episodes of {episodes.env_id}{plant}, the same for all policies"
+    subtitle = (
+        f"Simulated; {count_of(len(episodes.seeds), 'episode')} of {episodes.env_id}{plant}, the same for all policies"
+    )
     return plain_report(run, "Comparison of policies", subtitle, verdict, tables, policy_drawings(episodes))

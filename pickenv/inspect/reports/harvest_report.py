@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pickenv.base import count_of
 from pickenv.base.intervals import LEAST
 from pickenv.harvester import Measure
 from pickenv.harvester.machine import dense_workspace
@@ -56,7 +57,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     counts = [(stage, *(str(numbers[stage]) for numbers in funnels.values())) for stage in funnels[names[0]]]
     funnel = PageTable("Fruit at each stage, over all trees", ("stage", *funnels), counts)
     arms = trace.cloud.shape[1]
-    subtitle = f"Simulated; {arms} picking arms, {len(names)} strategies on the same trees"
+    subtitle = f"Simulated; {count_of(arms, 'picking arm')}, {len(names)} strategies on the same trees"
     return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), drawings(run))
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, forward
-from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
+from pickenv.base import clustered_share_interval, count_of, mean_interval, paired_share_interval, share_interval
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
 from pickenv.inspect.colours import in_words, policy_label, said, unmarked
@@ -302,18 +302,26 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
     name, mean = best["policy"], f"{best['mean_mm']:.3f} mm"
     if not rivals:
         return f"{name} ends {mean} from the fruit"
-    farther = [rival for rival, line in rivals.items() if line["significant"] and line["lead_mm"] > 0.0]
+    level = [rival for rival, line in rivals.items() if _level(line)]
+    if len(level) == len(rivals):
+        return f"{' and '.join([name, *level])} end equally near to the fruit: {mean}"
+    apart = {rival: line for rival, line in rivals.items() if line["significant"] and rival not in level}
+    farther = [rival for rival, line in apart.items() if line["lead_mm"] > 0.0]
     if len(farther) == len(rivals):
         return f"{name} ends nearest to the fruit: {mean}"
-    nearer = [rival for rival, line in rivals.items() if line["significant"] and line["lead_mm"] < 0.0]
-    if nearer:  # it closed the gripper for other fruit too, or for fewer
+    if nearer := [rival for rival in apart if rival not in farther]:  # over other fruit too, or over fewer
         return f"{name} has the least mean miss, {mean}, but {' and '.join(nearer)} ends nearer to the same fruit"
     if all(line["significant"] is None for line in rivals.values()):
-        return f"{name} ends nearest in these few episodes, {mean}"
+        return f"{' and '.join([name, *level])} end{'' if level else 's'} nearest in these few episodes, {mean}"
     if not farther:
         return f"No policy is told apart from {name} with {mean}"
     alike = " and ".join(rival for rival in rivals if rival not in farther)
     return f"{name} ends nearest with {mean}, not told apart from {alike}"
+
+
+def _level(difference: Mapping[str, Any]) -> bool:
+    """Return whether two policies miss the same fruit by as much, to the digits shown and with all of the interval."""
+    return bool(max(map(abs, [difference["difference_mm"], *(difference["ci95_mm"] or ())])) < 0.5e-3)
 
 
 def explanation(episodes: RecordedEpisodes) -> str:
@@ -324,7 +332,7 @@ def explanation(episodes: RecordedEpisodes) -> str:
     """
     best, rivals = _best(episodes)
     if best is None:
-        return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
+        return f"In {count_of(len(episodes.seeds), 'episode')} no policy closed the gripper."
     if not rivals:  # no fruit for which two of them closed the gripper
         return f"{_picking(episodes)}."
     name, (rival, line) = best["policy"], next(iter(rivals.items()))
@@ -332,8 +340,8 @@ def explanation(episodes: RecordedEpisodes) -> str:
     if ends is not None and line["difference_mm"] < 0.0:
         ends = [-ends[1], -ends[0]]
     by = said(abs(line["difference_mm"]), ends, 3)
-    less = "less" if line["lead_mm"] >= 0.0 else "more"
-    first = f"{name} misses by {by} mm {less} than {rival} for the same {line['pairs']} fruit"
+    than = "as much as" if _level(line) else f"{by} mm {'less' if line['lead_mm'] >= 0.0 else 'more'} than"
+    first = f"{name} misses by {than} {rival} for the same {line['pairs']} fruit"
     changes = _changes(episodes, rival, name)
     worth = matters(episodes.plant_name or episodes.env_id, changes, (f"with {rival}", f"with {name}"))
     return f"{first}. {worth} {_picking(episodes)}."
@@ -397,7 +405,8 @@ def comparison_markdown(episodes: RecordedEpisodes) -> str:
     lines += _table(HEADS, [list(map(unmarked, row)) for row in policy_cells(episodes)])
     if differences := [list(map(unmarked, row)) for row in difference_cells(episodes)]:
         lines += ["", "Fruit by fruit, later minus earlier policy:", "", *_table(DIFFERENCES, differences)]
-    return "\n".join([*lines, "", f"{len(episodes.seeds)} episodes of {episodes.env_id}, simulated; {INTERVALS}."])
+    count = count_of(len(episodes.seeds), "episode")
+    return "\n".join([*lines, "", f"{count} of {episodes.env_id}, simulated; {INTERVALS}."])
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -502,12 +511,13 @@ def summary_markdown(comparison: Comparison) -> str:
     if has_reaches:
         heads = ["picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
     cells_of = _reach_cells if has_reaches else _field_cells
-    rows = [[f"**{policy.label}**", *cells_of(policy)] for policy in comparison.policies]
-    lines = [f"## {in_words(comparison.plant.name)}, seed {comparison.seed}", "", *_table(["policy", *heads], rows)]
-    first = comparison.policies[0].label
+    rows = [[f"**{unmarked(policy.label)}**", *cells_of(policy)] for policy in comparison.policies]
+    title = f"## {unmarked(in_words(comparison.plant.name))}, seed {comparison.seed}"
+    lines = [title, "", *_table(["policy", *heads], rows)]
+    first = unmarked(comparison.policies[0].label)
     reaches = (
-        f"{len(comparison.fruit)} reaches, of this one calibration; a pick if the fruit is inside the capture region, "
-        f"radius {comparison.tolerance_mm:g} mm. "
+        f"{count_of(len(comparison.fruit), 'reach', 'reaches')}, of this one calibration; a pick if the fruit is "
+        f"inside the capture region, radius {comparison.tolerance_mm:g} mm. "
     )
     lines += [
         "",
@@ -536,7 +546,7 @@ def _better(comparison: Comparison) -> str:
         return ""
     before, last = comparison.policies[-2:]
     share = 100.0 * float(np.mean(field_mm(last) < field_mm(before)))
-    return f" {last.label} errs less than {before.label} at {share:.0f} % of them."
+    return f" {unmarked(last.label)} errs less than {unmarked(before.label)} at {share:.0f} % of them."
 
 
 def _reach_cells(policy: RecordedPolicy) -> list[str]:

@@ -366,6 +366,19 @@ def test_views_of_few_corners_or_of_corners_near_one_line_are_left_out_and_four_
         without_blind_views(views)
 
 
+@pytest.mark.parametrize(("moved", "words"), [(slice(55, 80), "from row 56 on"), (slice(0, 24), "up to row 24")])
+def test_an_instrument_that_was_moved_so_far_that_its_rows_are_left_out_is_said_too(exact, moved, words):
+    """Rows far off are so from the move on. As many of them anywhere are no move."""
+    data = exact(load_arm("ur5e").nominal, 80)
+    for rows in (moved, np.random.default_rng(1).permutation(80)[:24]):
+        position = data.position + 5e-5 * np.random.default_rng(3).normal(size=(80, 3))
+        position[rows] += [0.0, 0.03, 0.0]
+        knocked = replace(data, position=position, position_std=5e-5, attitude_std=1e-2, source="knocked.csv")
+        text = calibrate(load_arm("ur5e"), knocked, choices=PLAIN).report()
+        assert (f"knocked.csv: all rows {words} are far off" in text) == (rows is moved), text
+        assert ("the instrument was probably moved" in text) == (rows is moved)
+
+
 @pytest.mark.parametrize("positions", [False, True])
 @pytest.mark.parametrize(("path", "line"), [("step", 41), ("turn", 45), ("still", None), ("drift", None)])
 def test_an_instrument_that_was_moved_within_the_file_is_said(exact, path, line, positions):

@@ -32,6 +32,14 @@ def test_a_trip_through_a_file_keeps_every_digit(tmp_path, noisy, dynamic, posit
     assert back.fingerprint() == data.fingerprint()
 
 
+def test_a_file_is_read_with_the_arm_as_with_its_geometry_and_with_nothing_else(tmp_path, noisy, dynamic):
+    path = noisy.write_csv(tmp_path / "tracker.csv")
+    with_arm, with_geometry = (read_measurements(path, arm) for arm in (dynamic.arm, dynamic.arm.nominal))
+    assert with_arm.fingerprint() == with_geometry.fingerprint()
+    with pytest.raises(InputError, match=r"^geometry is 'ur5e'; give the arm, as `pickenv.load_arm` returns it$"):
+        read_measurements(path, "ur5e")
+
+
 def test_the_file_names_every_unit(noisy, tmp_path):
     names, values = noisy.table()
     joints = ["q1_deg", "q2_mm", "q3_mm", "q4_deg", "q5_mm", "q6_deg"]

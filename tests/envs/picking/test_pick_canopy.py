@@ -157,7 +157,7 @@ def test_fruit_is_drawn_until_some_is_in_reach_but_not_for_ever(env, given, aske
 
 @pytest.mark.parametrize("vision", ["rendered", "measured_errors", "ideal"])
 def test_an_arm_sees_with_lis_stereo_pair_alone_as_beside_another_to_the_bit(vision):
-    given = {"vision": vision, "detector": "circles", "fruit": 6.0}
+    given = {"vision": vision, "fruit": 6.0} | ({} if vision == "ideal" else {"detector": "circles"})
     together = gym.make_vec("pickenv/Pick-v0", num_envs=2, **given)
     alone = [PickEnv(executor="numpy", **given) for _ in range(2)]
     for seed in (5, None):
@@ -173,7 +173,7 @@ def test_an_arm_sees_with_lis_stereo_pair_alone_as_beside_another_to_the_bit(vis
 
 def test_what_is_seen_of_fruit_follows_the_canopys_own_table():
     """Many draws of one fruit: located and misplaced as `pickenv.orchard.sighted` says at its depth."""
-    setting = make_pick(camera="perfect", looks=1, vision="measured_errors")[1]
+    setting = make_pick(looks=1, vision="measured_errors")[1]
     place = np.array([[0.0, 0.2, (setting.canopy.bottom + setting.canopy.top) / 2]])
     rng, found = np.random.default_rng(0), []
     for _ in range(3000):

@@ -152,7 +152,7 @@ def test_a_calibration_stands_between_tool_and_drives_as_elsewhere():
 
 
 def test_where_no_attitude_is_asked_for_none_counts():
-    env = gym.make(NAME, plant="ideal:ur5e", actions="position", angle_tolerance_deg=0.001)
+    env = gym.make(NAME, plant="ideal:ur5e", actions="position")
     observation, info = env.reset(seed=0)
     assert observation.shape == env.observation_space.shape == (4,) and env.action_space.shape == (3,)
     rewards = []
@@ -168,9 +168,9 @@ def test_where_no_attitude_is_asked_for_none_counts():
 
 @pytest.mark.parametrize("actions", ["pose", "position"])
 def test_what_is_shown_is_the_gap_by_direction_and_logarithm(actions):
-    env = gym.make(NAME, plant="ideal:ur5e", actions=actions, tool_step_mm=40.0, tool_turn_deg=20.0)
+    env = gym.make(NAME, plant="ideal:ur5e", actions=actions, tool_step_mm=40.0)
     seen, _ = env.reset(seed=4)
-    gap, turn = env.unwrapped.raw[12:15] / 0.04, env.unwrapped.raw[15:18] / math.radians(20.0)
+    gap, turn = env.unwrapped.raw[12:15] / 0.04, env.unwrapped.raw[15:18] / math.radians(10.0)
     sizes = [np.linalg.norm(part) for part in (gap, turn)][: len(seen) // 3]
     size = max(sizes)
     whole = [*gap, *turn][: len(seen) - 1]

@@ -15,6 +15,7 @@ from pickenv.inspect.colours import policy_key
 from pickenv.inspect.runs.comparison_summary import (
     cell_means,
     colour_scale_mm,
+    comparison_markdown,
     error_spread,
     explanation,
     histogram_edges_mm,
@@ -231,3 +232,36 @@ def test_the_verdict_asks_every_policy_in_whatever_order_they_stand(order):
     misses = {"one": one, "two": one + rng.normal(0.0, 0.05, 20), "far": one + rng.uniform(4.0, 6.0, 20)}
     found = outcome_sentence(compared(*(ended(*list(misses.items())[i]) for i in order)))
     assert re.search("^(one ends nearest .* not told apart from two|two ends .* not told apart from one)$", found)
+
+
+@pytest.mark.parametrize("count", [3, 40])
+def test_a_tie_is_said_to_be_one(count):
+    misses = np.random.default_rng(0).uniform(0.5, 1.5, count)
+    level = compared(ended("one", misses), ended("two", misses + 1e-9))
+    assert outcome_sentence(level) == f"one and two end equally near to the fruit: {misses.mean():.3f} mm"
+    assert explanation(level).startswith(f"one misses by as much as two for the same {count} fruit.")
+    third = compared(*level.policies, ended("far", misses + np.linspace(0.9, 1.1, count)))
+    assert outcome_sentence(third).startswith(
+        "one and two end nearest in these few" if count < 4 else "one ends nearest"
+    )
+    if count > 4:  # the same mean, of misses that differ
+        even = compared(ended("one", misses), ended("two", misses[::-1]))
+        assert outcome_sentence(even).startswith("No policy is told apart from ")
+
+
+def test_labels_with_marks_stay_in_their_cell_of_the_table(comparison):
+    many = mixed(comparison)
+    policies = [replace(policy, label=f"a|b*{i}") for i, policy in enumerate(many.policies)]
+    text = summary_markdown(replace(many, policies=tuple(policies)))
+    heads = next(line for line in text.splitlines() if line.startswith("| policy"))
+    lines = [line for line in text.splitlines() if line.startswith(r"| **a\|b\*")]
+    assert len(lines) == len(policies)
+    assert all(line.replace(r"\|", "").count("|") == heads.count("|") for line in lines)
+    assert "a|b" not in text and "b*" not in text
+
+
+def test_counts_of_one_are_singular():
+    misses = ended("one", [np.nan])
+    assert explanation(compared(misses)) == "In 1 episode no policy closed the gripper."
+    assert "\n\n1 episode of E, simulated" in comparison_markdown(compared(misses))
+    assert explanation(compared(ended("one", [np.nan] * 2))) == "In 2 episodes no policy closed the gripper."
