@@ -37,7 +37,7 @@ from pickenv.pictures.shapes import (
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 
 ABSENT = np.zeros((), pick_scene.FRUIT)
-"""Record of an absent fruit, far away. Canopies with less fruit than the fullest one are filled up with it."""
+"""Record of an absent fruit, far away. It fills up the array for canopies with less fruit than the fullest one."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
 FUNNEL = ("visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
