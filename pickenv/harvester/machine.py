@@ -463,7 +463,7 @@ def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration
     Args:
         time: Time since the start of the move, s; before the start and after the end the arm stands still. Shapes
             broadcast.
-        distance: Displacement at the end, m or rad; its sign is that of the result.
+        distance: Displacement at the end, m or rad; the result has the same sign.
         speed: Largest speed, m/s or rad/s.
         acceleration: Largest acceleration, m/s² or rad/s².
     """

@@ -261,7 +261,7 @@ class SightErrors(checks.Preset):
         fruit: Number of fruit in these images.
         edges: Limits between the ranges of distance ahead of the camera, m.
         visible: Mean visible share of a fruit's disc.
-        in_sight: Share of fruit of which at least a part is visible.
+        in_sight: Share of fruit that is visible at least in part.
         recall: Share of fruit that is located.
         recall_low: Lower end of the confidence interval of ``recall``.
         recall_high: Upper end of the confidence interval of ``recall``.

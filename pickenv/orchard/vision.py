@@ -5,9 +5,9 @@ specks. Regions smaller than a fifth of the largest are dropped, and two dilatio
 disparity of a region's centroid gives depth. Touching fruit form one region, as in the paper.
 
 The other detector finds circles: the visible part of a rim is sufficient to find the centre of a fruit behind leaves.
-The gradient of R − G points into the fruit, so every edge pixel votes for centres along it (a Hough transform with
-gradient directions). Each circle is then fitted to sub-pixel edges. Only pixels of fruit colour, and a border around
-them, are matched in the right image. Touching fruit give several circles. Units: m, px. Needs scikit-image.
+The gradient of R − G points into the fruit, so every edge pixel votes for centres along its gradient (a Hough transform
+with gradient directions). Each circle is then fitted to sub-pixel edges. Only pixels of fruit colour, and a border
+around them, are matched in the right image. Touching fruit give several circles. Units: m, px. Needs scikit-image.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
 
 
 def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Integers]:
-    """Find the connected regions of fruit pixels (those of `fruit_mask`).
+    """Find the connected regions of the fruit pixels, which `fruit_mask` marks.
 
     Args:
         camera: The stereo pair, which has the detector's parameters.
