@@ -37,7 +37,7 @@ def columns(work: Work, *, falling: bool) -> Plan:
 
 
 def nearest_neighbour(work: Work) -> Plan:
-    """Plan greedily: the arm that is free first takes the remaining fruit that it can finish first.
+    """Plan greedily: whichever arm becomes free earliest takes the remaining fruit that it can finish earliest.
 
     The plan ignores that excursions (ways out to a fruit and back) of two arms may conflict.
     """

@@ -239,7 +239,7 @@ def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpo
         sight, away from the fruit that cover this one. It is zero for a fruit that no other fruit covers.
 
     Raises:
-        InputError: If a number is not finite, a diameter not above zero, or a viewpoint lies inside a fruit.
+        InputError: If a number is not finite, a diameter is not above zero, or a viewpoint lies inside a fruit.
     """
     positions, diameters = checks.fruit_arrays(positions, diameters)
     viewpoint = checks.points("the viewpoint", viewpoint)

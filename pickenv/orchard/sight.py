@@ -119,7 +119,7 @@ def sample_leaves(
         rng: Random generator for all draws.
 
     Raises:
-        InputError: If a number is not finite, the leaf area negative, or the high corner below the low corner.
+        InputError: If a number is not finite, the leaf area is negative, or the high corner is below the low corner.
     """
     low, high = (checks.points("the corners of the foliage", corner) for corner in (low, high))
     checks.numbers("the leaf area per volume (m²/m³)", leaf_area_per_volume, lowest=0.0)

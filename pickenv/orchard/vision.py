@@ -36,7 +36,7 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
         Index in ``positions`` (from 0) of the fruit of each detection, shape (m,); -1 for a false detection.
 
     Raises:
-        InputError: If a number is not finite, the distance not above zero or a shape wrong.
+        InputError: If a number is not finite, the distance is not above zero, or a shape is wrong.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -131,7 +131,7 @@ def triangulate(camera: StereoCamera, pixels: ArrayLike) -> Array:
         Positions in the camera frame, m, (..., 3).
 
     Raises:
-        InputError: If a disparity is not above zero or a number not finite.
+        InputError: If a disparity is not above zero, or a number is not finite.
     """
     column, row, disparity = np.moveaxis(checks.points("pixels", pixels), -1, 0)
     if (disparity <= 0).any():

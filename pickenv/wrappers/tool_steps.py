@@ -232,7 +232,7 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
         """Wrap ``env``.
 
         Raises:
-            InputError: If ``env`` is no picking environment, or has `feedback="gripper"`, or if ``shaping`` is not above
+            InputError: If ``env`` is no picking environment or has `feedback="gripper"`, or if ``shaping`` is not above
                 0 and at most 1.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)
@@ -258,7 +258,7 @@ class ToolSteppingVector(ScaledVector, RecordConstructorArgs):
         """Wrap ``env``; `ToolStepping` explains ``shaping``.
 
         Raises:
-            InputError: If ``env`` is no picking environment, or has `feedback="gripper"`, or if ``shaping`` is not above
+            InputError: If ``env`` is no picking environment or has `feedback="gripper"`, or if ``shaping`` is not above
                 0 and at most 1.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)

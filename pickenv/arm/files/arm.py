@@ -102,7 +102,7 @@ class Arm:
             centre: Centre of mass of the payload in the tool's frame (3,), m.
 
         Raises:
-            InputError: If the arm has no masses or is a whole robot, or if a number is not finite or the mass negative.
+            InputError: If the arm has no masses or is a whole robot, a number is not finite, or the mass is negative.
         """
         if self.load is None:
             raise InputError(f"arm '{self.name}' has no masses, which a payload adds to; give a file with <inertial>")

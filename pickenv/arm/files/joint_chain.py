@@ -291,9 +291,9 @@ class Mass(NamedTuple):
 
     Attributes:
         kg: The mass, kg; not a number if the file leaves it to the body's shapes.
-        path: Names of the joints from the body to the root, each with the centre of mass (3,), m, in the frame of the
-            link that the joint moves. The frame's origin is on the joint's axis. All joints between this link and the
-            body are at zero.
+        path: Names of the joints from the body to the root. Each name comes with the body's centre of mass (3,), m, in
+            the frame of the link that this joint moves. The frame's origin is on the joint's axis. All joints between
+            the link and the body are at zero.
     """
 
     kg: float

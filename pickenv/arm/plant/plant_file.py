@@ -320,7 +320,7 @@ def _largest_torques(arm: Arm, load: Load) -> Array:
 
 
 def _split(name: str | Path) -> tuple[str, str]:
-    """Split a plant's name into its tolerance class or "ideal", empty if it has none, and the arm's or plant's name."""
+    """Split a name such as "coarse:ur5e" into two: tolerance class or "ideal" (empty if neither), and arm or plant."""
     kind, colon, arm_name = str(name).partition(":")
     if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
         return kind, arm_name or FIRST_ARM

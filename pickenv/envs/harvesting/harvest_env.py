@@ -252,7 +252,7 @@ UP = np.array([0.0, 0.0, 1.0])
 def draw_harvest(
     task: batch.HarvestTask, states: batch.HarvestState, compensate: Compensate | None, row: int = 0, dark: bool = False
 ) -> Stage:
-    """Return the stage to draw for one machine before its zone.
+    """Return the stage to draw for one machine in front of its zone.
 
     Args:
         task: The task.

@@ -25,13 +25,13 @@ class PickEnv(ArmEnv):
 
     ## Description
 
-    A six-joint picking arm (Qiao 2026) stands before a section of canopy, 0.9 m wide and 0.8 m high, that holds some
-    ten fruit. The environment chooses the present fruit, which is to be picked next, among those that the camera found
-    within reach and that were not tried yet. By default it is the nearest to the believed tool (see `order`). Each
-    fruit can be tried once. The policy commands the *nominal* arm, that is the model that its controller believes in.
-    But the *true* arm moves. It also vibrates after every move, so that haste costs accuracy. The gripper takes a fruit
-    if the true tool is near enough to it. A failed grasp pushes neighbouring fruit aside. So does a tool that touches
-    fruit on its way. The pushed fruit swings for a while.
+    A six-joint picking arm (Qiao 2026) stands in front of a section of canopy, 0.9 m wide and 0.8 m high, that holds
+    some ten fruit. The environment chooses the present fruit, which is to be picked next, among those that the camera
+    found within reach and that were not tried yet. By default it is the nearest to the believed tool (see `order`).
+    Each fruit can be tried once. The policy commands the *nominal* arm, that is the model that its controller believes
+    in. But the *true* arm moves. It also vibrates after every move, so that haste costs accuracy. The gripper takes a
+    fruit if the true tool is near enough to it. A failed grasp pushes neighbouring fruit aside. So does a tool that
+    touches fruit on its way. The pushed fruit swings for a while.
 
     ## Action Space
 
@@ -205,7 +205,7 @@ class PickEnv(ArmEnv):
         self.scene: PickScene
 
     def reset(self, *, seed: int | None = None, options: Options = None) -> tuple[NDArray[np.float32], Information]:
-        """Start an episode before a new section of canopy; see the class for `options`."""
+        """Start an episode at a new section of canopy; see the class for `options`."""
         super().reset(seed=seed)
         options = given_options(options, PICK_OPTIONS)
         task, joints, arm = self.task, options.get("start_joints"), options.get("arm")

@@ -1,4 +1,4 @@
-"""The fruit before a picking arm: its positions, true and seen, and how it is pushed, taken, twisted off and collected.
+"""The fruit at a picking arm: its true and seen positions, and how it is pushed, taken, twisted off and collected.
 
 Everything is in the arm's base frame (m, s, N). This frame is the orchard frame shifted and turned by half a turn about
 z, so that trees stand at -y. The tool is a cylinder that opens upwards and approaches from below; its position is the
@@ -39,10 +39,10 @@ positions that the user gives, which stay the same in each draw."""
 
 @dataclass(frozen=True, eq=False)
 class PickSetting:
-    """The orchard before the arm, the camera that sees its fruit, and the gripper that takes it.
+    """The orchard in front of the arm, the camera that sees its fruit, and the gripper that takes it.
 
     Attributes:
-        canopy: The foliage before the arm.
+        canopy: The foliage in front of the arm.
         fruit_map: Distribution of the number of fruit along the row of trees.
         size: Diameter and density of fruit.
         camera: Errors of the camera that sees the fruit, unless `eyes` is given.
@@ -434,7 +434,7 @@ PICK_FEEDBACK = ("encoders", "gripper")
 """Values of `feedback`. With "gripper" the policy observes the position of each held fruit in the gripper."""
 
 MOST_FELT = 0.1
-"""Bound of the observed position of a fruit in the gripper, m. The gripper takes no fruit that is so far off."""
+"""Bound of the observed position of a fruit in the gripper. The gripper takes no fruit that is so far off."""
 
 
 OF_THE_ARM = ("without", "arms", "tolerances", "population", "population_seed", "out_of_range")

@@ -184,7 +184,7 @@ class PickBatch(NumpyArms):
     """The state of N picking arms.
 
     Attributes:
-        canopies: The fruit before the arms, and where the arms' tools are.
+        canopies: The fruit in front of the arms, and where the arms' tools are.
     """
 
     def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:

@@ -33,7 +33,7 @@ from pickenv.pictures.stage import SIZE, Stage, Words, fitted_eye
 
 
 FRUIT = 0.06
-"""Diameter of the drawn fruit, m. The reach task itself has only the fruit's position."""
+"""Diameter of the drawn fruit. The reach task itself has only the fruit's position."""
 
 
 def draw_reach(task: Task, scene: simulation.View, dark: bool) -> Stage:

@@ -57,7 +57,7 @@ SMALLEST, LARGEST = 16, 1024
 """Bounds of the width and height of pictures."""
 
 GRIP, WIDE = (1.5, 0.02, 1e-3), 60.0
-"""Friction of grippers and fruit (sliding, torsional, rolling), and the wrist camera's vertical angle of view, deg."""
+"""Friction of grippers and fruit (sliding, torsional, rolling), and the wrist camera's vertical angle of view."""
 
 METAL, WOOD = (0.6, 0.6, 0.65, 1.0), (0.36, 0.25, 0.16, 1.0)
 SKIN, LEAF = (0.78, 0.12, 0.10, 1.0), (0.25, 0.50, 0.18, 1.0)

@@ -53,7 +53,7 @@ class PickSceneEnv(ReachEnv):
 
     ## Description
 
-    `pickenv/Reach-v0` in MuJoCo, with contact and pictures. An arm with a suction cup stands before a branch; the
+    `pickenv/Reach-v0` in MuJoCo, with contact and pictures. An arm with a suction cup stands at a branch; the
     fruit's stem breaks when it is pulled hard enough. The policy commands the *nominal* arm, that is the model that its
     controller believes in. But the *true* arm moves, touches the fruit and carries the wrist camera. Its parts, joint
     zeros, compliance, backlash and warm-up are as in the plant (the model of the true arm). Delays and noise are

@@ -413,9 +413,10 @@ def flat_observation(scene: View) -> Components:
 def goal_observation(scene: View) -> tuple[Components, Components, Components]:
     """Return the numbers of observation, achieved goal and desired goal.
 
-    Goals are `GOAL_NUMBERS` long: a position, and an attitude by its z and x axes. The achieved goal is the tool as the
-    chosen feedback measures it, in the believed attitude. Its position is the believed one, or with a camera the fruit
-    as seen minus the camera's offset. The desired goal is the fruit as the camera saw it, in the wanted attitude.
+    A goal has `GOAL_NUMBERS` numbers: a position, then the z and x axes of an attitude. The attitude of the achieved
+    goal is the believed tool's. Its position is the believed tool position; with camera feedback it is the fruit
+    position as seen minus the offset that the camera measures. The desired goal has the fruit position as the camera
+    saw it, and the wanted attitude.
     """
     place = scene.believed
     if scene.camera:
