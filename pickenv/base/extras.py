@@ -54,7 +54,7 @@ def command_for(*extras: str) -> str:
 
 
 def absent_extras(*extras: str) -> tuple[str, ...]:
-    """Return the names of those extras of which at least one package is not installed."""
+    """Return the names of the ``extras`` whose packages are not all installed."""
     return tuple(extra for extra in extras if not all(map(is_there, EXTRAS[extra])))
 
 

@@ -403,7 +403,7 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
     """Raise an error if an output is also an input or another output; to be called before anything is computed.
 
     Symbolic links, hard links and different spellings of one file are recognised. A device may be named twice. Several
-    files of one option, such as those of a run folder, are compared only with other options' files.
+    files of one option, such as the files of a run folder, are compared only with other options' files.
 
     Args:
         inputs: Files that are read, by the name of the option that names them, such as "--arm". Names that are not
@@ -412,7 +412,7 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
 
     Raises:
         InputError: If an output is an input or another option's output. The message names both options. Also if an
-            output's name is too long for a file, or is that of a folder.
+            output's name is too long for a file, or is the name of a folder.
     """
     taken = [(f"{name} reads", path) for name, names in inputs.items() for path in _paths(names) if path.exists()]
     for output, names in outputs.items():
@@ -433,7 +433,7 @@ def _paths(named: Named) -> Iterator[Path]:
 
 
 def _check_name(path: Path) -> None:
-    """Raise an error if an output's name is too long or is that of a folder; call it before hours of computing."""
+    """Raise an error if an output's name is too long or names a folder; to be called before hours of computing."""
     try:
         folder = path.exists() and path.is_dir()
     except OSError as error:
@@ -450,7 +450,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _is_device(path: Path) -> bool:
-    """Return whether ``path`` leads to a device or a pipe, that is to neither a file nor a folder."""
+    """Return whether ``path`` leads to a device or a pipe, so to neither a file nor a folder."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 

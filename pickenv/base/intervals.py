@@ -1,10 +1,10 @@
 """95 % confidence intervals of means, ratios, shares, quantiles, and means over two crossed factors.
 
 `estimate` computes estimates and their intervals from the rows of a table. Errors at several fruit of one arm are
-correlated, so an arm counts once, with its mean. Where a policy was trained several times, arms and training seeds are
+correlated, so an arm counts once, with its mean. If a policy was trained several times, arms and training seeds are
 two crossed random factors: another arm would give another estimate, and so would another training.
 
-The other functions take arrays. Values of one arm are correlated, and so are those of one tree, or of one block of
+The other functions take arrays. Values of one arm are correlated, and so are values of one tree, or of one block of
 contiguous poses of a file. So compute one statistic per arm first, and pass one value per arm. A function returns None
 if the sample is too small or its values do not vary, because an interval that is too narrow would be worse than none.
 Equal data give equal intervals.
@@ -182,7 +182,7 @@ def statistic_interval(
 def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
     """Return the 95 % interval of the norm of the mean of independent vectors ``(n, k)``, such as a pose's accuracy.
 
-    The ends are those of the jackknife (`statistic_interval`). The norm of a sample mean is above zero although the
+    The ends come from the jackknife (`statistic_interval`). The norm of a sample mean is above zero although the
     true mean may be zero. So the lower end is zero if Hotelling's T^2 test (1931, Ann. Math. Stat. 2) does not reject a
     zero mean.
 
@@ -236,8 +236,8 @@ def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> End
 def _ratio_spread(above: Array, below: Array) -> tuple[float, float]:
     """Return the variance of a ratio of sums over n > 1 clusters, and the variance's degrees of freedom.
 
-    ``above`` has the term of the numerator for each cluster ``(n,)``, ``below`` that of the denominator. Equally large
-    clusters give n - 1 degrees of freedom.
+    ``above`` has the term of the numerator for each cluster ``(n,)``, ``below`` the term of the denominator. Equally
+    large clusters give n - 1 degrees of freedom.
     """
     weight = below / below.sum()
     residual = (above - above.sum() / below.sum() * below) / below.sum()
@@ -606,7 +606,7 @@ def _check_asked(
 def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> Array:
     """Arrange the columns ``names`` of a table as values ``(len(names), units, runs, repeats)``.
 
-    Units are those of the first column that ``over`` names, runs those of the second; without a second, ``runs`` is 1.
+    The first column that ``over`` names gives the units, the second gives the runs; without a second, ``runs`` is 1.
     """
     places = [np.unique(rows[name], return_inverse=True)[1] for name in over]
     if len(places) == 1:

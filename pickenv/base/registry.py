@@ -1,4 +1,4 @@
-"""Registry of extensions by kind and name: those shipped with pickenv, and those of other packages.
+"""Registry of extensions by kind and name: extensions shipped with pickenv, and extensions of other packages.
 
 A class or function is registered by a decorator, ``@pickenv.register("residual", "forest")``, or by an entry point of
 an installed package. The entry point ``forest = "module:Forest"`` is in the group ``pickenv.residual``. It is imported

@@ -115,7 +115,7 @@ def versions(*packages: str) -> dict[str, str]:
 
 
 def command_line(*words: object, **options: object) -> str:
-    """Return a command line with shell quoting; the arguments are those of `command_words`."""
+    """Return a command line with shell quoting; `command_words` explains the arguments."""
     return shlex.join(command_words(*words, **options))
 
 

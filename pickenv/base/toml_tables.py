@@ -75,7 +75,7 @@ class Unit:
     Attributes:
         name: Ending of the key; empty for numbers without a unit.
         scale: SI units per unit, by which the file's value is multiplied.
-        per: Units per SI unit, by which the file's value is divided. Use it instead of ``scale`` where a division
+        per: Units per SI unit, by which the file's value is divided. Use it instead of ``scale`` if a division
             rounds to the nearest number and a multiplication does not.
         most: Largest magnitude, in the file's unit. A larger one is a slip or is in a wrong unit.
         least: Smallest value, in the file's unit; None for minus ``most``.
@@ -563,7 +563,7 @@ def _table_at(place: list[Any], content: Any) -> str:
 
 
 def _at(content: Any, place: list[Any]) -> Any:
-    """Return the value to which the keys and list indices in ``place`` lead, in a file's content; None without one."""
+    """Return the value to which the keys and list indices in ``place`` lead, in a file's content, or None."""
     with suppress(LookupError, TypeError):
         return reduce(getitem, place, content)
     return None

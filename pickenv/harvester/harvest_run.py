@@ -67,14 +67,14 @@ class Picking:
     Attributes:
         cup: Li's cup.
         branch: Branch that fruit hangs from.
-        gather: Misalignment across the cup's axis, beyond the cup's clearance around the fruit, above which the
-            cup's gatherer takes no fruit, m.
+        gather: Least misalignment across the cup's axis, in excess of the cup's clearance around the fruit, at which
+            the cup's gatherer takes no fruit, m.
         outer: Outer radius of the cup, m.
         cluster_success: Probability that an attempt succeeds although another fruit is in the cup's way.
         cut_success: Probability that the blade meets the stalk.
         undamaged: Probability that picked fruit stays whole.
         push: Median shift of the foliage by a cup that enters it, m.
-        push_spread: Standard deviation of the natural logarithm of that shift.
+        push_spread: Standard deviation of the natural logarithm of the shift ``push``.
         lasting: Share of a push that remains after the swing.
     """
 
@@ -198,7 +198,7 @@ def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
 def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, luck: Luck) -> Array:
     """Compute the displacement of each pick's fruit by the cups of all earlier picks, m, (picks, 3).
 
-    It is that at the time at which the fruit's own cup enters the foliage.
+    The displacement is given for the time at which the fruit's own cup enters the foliage.
 
     Args:
         model: The picking model.

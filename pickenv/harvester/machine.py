@@ -316,7 +316,7 @@ class TrueTable:
 class WorkspaceTable:
     """Table [workspace] of a machine file: ranges in the base frame, m, where the points that cups reach lie densely.
 
-    It is not the workspace of a calibration, where an arm will work.
+    This is not the workspace of a calibration, which is where an arm will work.
     """
 
     dense_x: Annotated[tuple[float, float], MM]
@@ -346,8 +346,8 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
         spacing: Distance between neighbouring slaves, m; the file's by default. The paper also implies 0.3 and 0.45 m.
 
     Raises:
-        InputError: If a number is outside its limits, the master does not reach its start or a slave its rest, or a
-            swinging slave could touch a neighbour at rest.
+        InputError: If a number is outside its limits, if the joints of the master's start or of a slave at rest are
+            outside the joint limits, or if a swinging slave could touch a neighbour at rest.
     """
     file = read_toml(MachineFile, path)
     head, accelerations = file.machine, file.acceleration
@@ -463,7 +463,7 @@ def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration
     Args:
         time: Time since the start of the move, s; before the start and after the end the arm stands still. Shapes
             broadcast.
-        distance: Displacement at the end, m or rad; its sign is that of the result.
+        distance: Displacement at the end, m or rad; the result has the same sign.
         speed: Largest speed, m/s or rad/s.
         acceleration: Largest acceleration, m/s² or rad/s².
     """

@@ -37,7 +37,7 @@ def columns(work: Work, *, falling: bool) -> Plan:
 
 
 def nearest_neighbour(work: Work) -> Plan:
-    """Plan greedily: the arm that is free first takes the remaining fruit that it can finish first.
+    """Plan greedily: whichever arm becomes free earliest takes the remaining fruit that it can finish earliest.
 
     The plan ignores that excursions (ways out to a fruit and back) of two arms may conflict.
     """
@@ -75,8 +75,8 @@ def hungarian_waves(work: Work) -> Plan:
 def _next_times(work: Work, plan: list[list[int]], waiting: list[int]) -> Array:
     """Return the time that each arm needs for each waiting fruit, s, (arms, waiting); infinite out of its reach.
 
-    The time is that of the travel from the last fruit of the arm's list in ``plan``, and of the pick. ``waiting`` lists
-    the indices of fruit without an arm, from 0.
+    The time is the travel from the last fruit in the arm's list of ``plan``, or from the home position, plus the
+    excursion to the fruit and back. ``waiting`` lists the indices of fruit without an arm, from 0.
     """
     way = np.array([work.travel[fruit[-1]] if fruit else work.first for fruit in plan])
     return np.where(work.reached, way + work.duration, np.inf)[:, waiting]
@@ -128,7 +128,7 @@ def local_search(
     Args:
         work: Scheduling problem of the zone.
         rng: Random generator of the steps; a fixed seed by default.
-        bound: Makespan at which the search may stop, s: it stops once its plan is within 1 % of this. By default,
+        bound: Makespan at which the search may stop, s: it stops once its plan is within 1 % of the bound. By default,
             `lower_bound` with fruit that arms may share.
         patience: Factor by which the number of steps in the strategy file (`Effort.rounds`) is multiplied.
     """
@@ -159,7 +159,7 @@ def local_search(
 
 
 def _by_height(work: Work) -> Plan:
-    """Plan with balanced loads of the arms, each of which picks from its lowest fruit up.
+    """Plan with balanced loads of the arms; each arm picks from its lowest fruit up.
 
     Such a plan is a good start for dense fruit.
     """

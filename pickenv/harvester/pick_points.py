@@ -3,11 +3,11 @@
 Trees are of an orchard row or of Li's lab, with fruit positions in the harvester's base frame. The machine's column
 stands in front of the canopy, at the distance `Canopy.standoff`. The tree is at negative y.
 
-At a pick point the master stands while its slaves pick: by eqs (7) to (12) as printed or corrected, or by a search. The
-printed equations have two faults. They put frame 3 at polar angle theta2 and ignore a2, although theta2 is the
-arm's heading. And eq (7) exchanges the left and right border fruit at negative y. The search follows the paper's
-"master moves much, slaves little". Of the points from which most fruit is reached, it takes the one with the least
-motion of the slaves. Units: m, rad, kg.
+At a pick point the master stands while its slaves pick. The point follows from eqs (7) to (12), as printed or
+corrected, or from a search. The printed equations have two faults. They put frame 3 at polar angle theta2 and ignore
+a2, although theta2 is the arm's heading. And eq (7) exchanges the left and right border fruit at negative y. The search
+follows the paper's "master moves much, slaves little". Of the points from which most fruit is reached, it takes the one
+with the least motion of the slaves. Units: m, rad, kg.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def load_lab() -> Lab:
 
 
 def lab_zone(canopy: trees.Canopy) -> Array:
-    """Return width, depth (that of ``canopy``) and height of the zone that a picture of Li's lab shows, m, (3,)."""
+    """Return width, depth (the depth of ``canopy``) and height of the zone in a picture of Li's lab, m, (3,)."""
     lab = load_lab()
     return np.array([lab.width, canopy.depth, lab.height])
 
@@ -303,7 +303,7 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
             the point from which most fruit is reached with least motion of the slaves.
 
     Returns:
-        Joints, rad and m. Those of "search" are within the limits; those of the other methods need not be.
+        Joints, rad and m. The joints of "search" are within the limits; the joints of other methods may be outside.
 
     Raises:
         InputError: If there is no fruit, a coordinate is not finite or the method is unknown. Also if the fruit is too
@@ -333,12 +333,12 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
 
 
 def searched(machine: Machine, fruit: Array) -> Array:
-    """Return the master joints (3,), rad and m, from which most fruit is reached; of several, those of least motion.
+    """Return the master joints (3,), rad and m, from which most fruit is reached.
 
-    Motion is that of the slaves. The search evaluates two grids of the master's headings and reaches (how far it
-    extends). The second grid is finer, and lies around the best point of the first. Each grid is combined with a few
-    heights (`_heights`): all slaves reach the same heights, so the height does not depend on heading and reach.
-    ``fruit`` has positions in the base frame, m, (n, 3).
+    Of several such joints, joints with little motion of the slaves are preferred. The search evaluates two grids of the
+    master's headings and reaches (how far it extends). The second grid is finer, and lies around the best point of the
+    first. Each grid is combined with a few heights (`_heights`): all slaves reach the same heights, so the height does
+    not depend on heading and reach. ``fruit`` has positions in the base frame, m, (n, 3).
     """
     settings = _search()
     low, high = machine.master.nominal.lower, machine.master.nominal.upper
@@ -384,8 +384,8 @@ def _heights(machine: Machine, fruit: Array) -> Array:
 def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray[np.bool_]) -> Array:
     """Return the costs (m, k) of m pairs of the master's heading and reach, each at k heights.
 
-    Each fruit in reach of some arm subtracts one. The slaves' motion adds less than one, and fruit in reach of every
-    arm subtracts less than one.
+    Each fruit in reach of some arm subtracts one. The slaves' motion adds less than one. The number of fruit in reach
+    of the arm that reaches fewest subtracts less than one.
 
     Args:
         machine: The machine.

@@ -5,8 +5,9 @@ swings and stretches below the fruit, rises, senses, cuts, swings back and draws
 joints at each time of a timetable, and the distances that its rangers then measure.
 
 Slave arms are capsules, and horizontal. The distance between two of them follows from their distance in plan and their
-difference in height. No neighbour can touch an arm at rest (`machine.refuse_touching_arms`). Between picks an arm moves
-up and down at rest only. So arms can meet only during excursions. Units: m, rad, s.
+difference in height. No neighbour can touch an arm at rest (`machine.refuse_touching_arms`). Between excursions an
+arm only moves up and down, and stays straight ahead and at its shortest. So arms can meet only during excursions.
+Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ def cup_in_plan(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
 def pairs_of(arms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return two arrays: the index, from 0, of the first and of the second arm of each pair of ``arms`` arms.
 
-    The order of the pairs is that of ``numpy.triu_indices(arms, 1)``.
+    The pairs have the order of ``numpy.triu_indices(arms, 1)``.
     """
     first, second = np.triu_indices(arms, 1)
     return first, second
@@ -122,7 +123,7 @@ def pair_distances(m: Any, machine: Machine, slaves: Sequence[Scalars]) -> list[
 def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
     """Return four numbers of a slave, m: x of the pivot, x and y of the cup in plan, and the arm's height d4.
 
-    x is to the right and y ahead, as in `cup_in_plan`, which explains ``m``, ``offset``, ``swing`` and ``d6``.
+    x is to the right and y ahead. `cup_in_plan` explains ``m``, ``offset``, ``swing`` and ``d6``.
     """
     return offset, *cup_in_plan(m, offset, swing, d6), d4
 
@@ -311,7 +312,7 @@ def _table(rows: list[Row]) -> Timetable:
 def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = None) -> list[Row]:
     """Return the picks in the order of their starts, each with its arm, fruit, start, end and waiting time, s.
 
-    ``plan`` and ``hold`` are those of `timetable`. Arms and fruit are indices from 0.
+    `timetable` explains ``plan`` and ``hold``. Arms and fruit are indices from 0.
     """
     (duration, first, travel, barred), arms = work.lists, range(len(plan))
     done: list[Row] = []
@@ -397,8 +398,8 @@ def ultrasonic_hold(machine: Machine, work: Work, rng: np.random.Generator) -> H
     """Return Li's waiting rule for `timetable`: a side arm stays at rest while it measures a middle arm too near.
 
     Side arms have even indices, middle arms odd indices, from 0 on the left. The side arm measures once in each period
-    of its ranger, with the ranger's noise. It starts at the first measurement that is not below `Body.guard`, at the
-    latest when the picks that middle arms have begun are over. A middle arm without an echo does not stop it.
+    of its ranger, with the ranger's noise. It starts at the first measurement that is not below `Body.guard`. It
+    starts at the latest when the middle arms' present picks are over. A middle arm without an echo does not stop it.
 
     Args:
         machine: The machine.

@@ -45,7 +45,7 @@ class Camera(checks.Preset):
         bias_per_light: Change of the bias with illuminance, m/lx.
         dropout: Probability of missing a fruit in full view.
         lost_below: Visible share of a fruit below which it is never detected.
-        found_above: Visible share from which the probability of missing a fruit is ``dropout``. Between
+        found_above: Least visible share at which the probability of missing a fruit is only ``dropout``. Between
             ``lost_below`` and ``found_above`` the probability of detection is linear in the visible share.
         occlusion_pull: Largest shift of the centroid to the visible side, as a share of the fruit's radius.
         light: Illuminance in which the camera is used, lx.

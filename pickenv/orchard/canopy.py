@@ -239,7 +239,7 @@ def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpo
         sight, away from the fruit that cover this one. It is zero for a fruit that no other fruit covers.
 
     Raises:
-        InputError: If a number is not finite, a diameter not above zero, or a viewpoint lies inside a fruit.
+        InputError: If a number is not finite, a diameter is not above zero, or a viewpoint lies inside a fruit.
     """
     positions, diameters = checks.fruit_arrays(positions, diameters)
     viewpoint = checks.points("the viewpoint", viewpoint)
@@ -317,8 +317,8 @@ def approach_clear(
 class Station(checks.Preset):
     """A place of picking: the section of canopy that an arm picks from, and a gripper that comes to fruit from below.
 
-    It is not a station of measurements (a set-up of instrument and arm). The base frame is that of the arm; x is along
-    the row of trees, y into the trees, z up.
+    It is not a station of measurements (a set-up of instrument and arm). The base frame is the arm's base frame; x is
+    along the row of trees, y into the trees, z up.
 
     Attributes:
         middle: x of the section's middle in the base frame, m.
@@ -367,7 +367,7 @@ class Station(checks.Preset):
     source: str = ""
 
     def handling(self, grasps: int, fruit: int) -> float:
-        """Return the time for all gripping, depositing and releasing, s. The simulated picking does not include it.
+        """Return the time for all gripping, depositing and releasing, s. The simulated time does not include it.
 
         Args:
             grasps: Number of grasps.

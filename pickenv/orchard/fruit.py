@@ -251,7 +251,7 @@ def swing(
         Displacement, m, and velocity, m/s, of shape (..., 3) each.
 
     Raises:
-        InputError: If a number is not finite, a mass not above zero, a time negative or a shape wrong.
+        InputError: If a number is not finite, a mass is not above zero, a time is negative, or a shape is wrong.
     """
     x = checks.points("the displacement of fruit", displacement)
     speed = checks.points("the velocity of fruit", velocity)

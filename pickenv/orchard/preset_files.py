@@ -33,7 +33,7 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
 
     Args:
         kind: Kind of preset, such as "camera": the name of the presets' file, used in error messages too.
-        name: Name of a shipped preset, or a path that ends in .toml. The keys of that file are those of one preset.
+        name: Name of a shipped preset, or a path that ends in .toml. That file has the keys of one preset.
         thing: Class of the result, made by `pickenv.base.toml_tables.toml_table`; or a function that returns the class
             for a table.
 

@@ -119,7 +119,7 @@ def sample_leaves(
         rng: Random generator for all draws.
 
     Raises:
-        InputError: If a number is not finite, the leaf area negative, or the high corner below the low corner.
+        InputError: If a number is not finite, the leaf area is negative, or the high corner is below the low corner.
     """
     low, high = (checks.points("the corners of the foliage", corner) for corner in (low, high))
     checks.numbers("the leaf area per volume (m²/m³)", leaf_area_per_volume, lowest=0.0)
@@ -261,7 +261,7 @@ class SightErrors(checks.Preset):
         fruit: Number of fruit in these images.
         edges: Limits between the ranges of distance ahead of the camera, m.
         visible: Mean visible share of a fruit's disc.
-        in_sight: Share of fruit of which at least a part is visible.
+        in_sight: Share of fruit that is visible at least in part.
         recall: Share of fruit that is located.
         recall_low: Lower end of the confidence interval of ``recall``.
         recall_high: Upper end of the confidence interval of ``recall``.

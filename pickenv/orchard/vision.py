@@ -5,9 +5,9 @@ specks. Regions smaller than a fifth of the largest are dropped, and two dilatio
 disparity of a region's centroid gives depth. Touching fruit form one region, as in the paper.
 
 The other detector finds circles: the visible part of a rim is sufficient to find the centre of a fruit behind leaves.
-The gradient of R − G points into the fruit, so every edge pixel votes for centres along it (a Hough transform with
-gradient directions). Each circle is then fitted to sub-pixel edges. Only pixels of fruit colour, and a border around
-them, are matched in the right image. Touching fruit give several circles. Units: m, px. Needs scikit-image.
+The gradient of R − G points into the fruit, so every edge pixel votes for centres along its gradient (a Hough transform
+with gradient directions). Each circle is then fitted to sub-pixel edges. Only pixels of fruit colour, and a border
+around them, are matched in the right image. Touching fruit give several circles. Units: m, px. Needs scikit-image.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
         Index in ``positions`` (from 0) of the fruit of each detection, shape (m,); -1 for a false detection.
 
     Raises:
-        InputError: If a number is not finite, the distance not above zero or a shape wrong.
+        InputError: If a number is not finite, the distance is not above zero, or a shape is wrong.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -131,7 +131,7 @@ def triangulate(camera: StereoCamera, pixels: ArrayLike) -> Array:
         Positions in the camera frame, m, (..., 3).
 
     Raises:
-        InputError: If a disparity is not above zero or a number not finite.
+        InputError: If a disparity is not above zero, or a number is not finite.
     """
     column, row, disparity = np.moveaxis(checks.points("pixels", pixels), -1, 0)
     if (disparity <= 0).any():
@@ -193,7 +193,7 @@ def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
 
 
 def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Integers]:
-    """Find the connected regions of fruit pixels (those of `fruit_mask`).
+    """Find the connected regions of the fruit pixels, which `fruit_mask` marks.
 
     Args:
         camera: The stereo pair, which has the detector's parameters.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pickenv.pictures.mujoco_drawer import MujocoDrawer
 
 PLAIN = "PICKENV_PLAIN_PICTURES"
-"""Environment variable that, if set, makes pictures be drawn with Pillow also where MuJoCo is installed."""
+"""Environment variable that, if set, makes Pillow draw all pictures, even if MuJoCo is installed."""
 TRIAL = "pickenv.pictures.mujoco_drawer"
 """Module that is run in another process to test whether MuJoCo can draw."""
 

@@ -4,8 +4,9 @@ An arm has links, joints, telescopes, a gripper, the camera's field of view, and
 that shows where the controller believes the arm to be. The tool's deviation is distributed evenly along the links, so
 pictures do not show where along the arm it arises.
 
-Around it are fruit on stems, leaves and branches of a row of trees along x, ground, a crate. Leaves are as dense as in
-a canopy's preset. Other leaves, which environments draw at random in every episode, hide fruit from a camera.
+Around the arm are fruit on stems, leaves and branches of a row of trees along x, ground and a crate. Leaves are as
+dense as in a canopy's preset. Other leaves, which environments draw at random in every episode, hide fruit from a
+camera.
 """
 
 from __future__ import annotations
@@ -276,7 +277,7 @@ Solids = tuple[tuple[Rods, ...], tuple[Rods, ...], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, eq=False)
 class ArmLook:
-    """The look of one arm, of whose polyline P segments are drawn.
+    """The look of one arm: P segments of the arm's polyline are drawn.
 
     Attributes:
         parts: Index of the first point of each segment in the polyline, from 0.

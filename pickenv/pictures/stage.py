@@ -170,7 +170,7 @@ def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg
 
 
 def seen_along(axis: Array, offset: Array, ahead: Array) -> Array:
-    """Return the components ``(2,)`` of an offset across the tool's axis: to a camera's right, and away from it.
+    """Return an offset's components ``(2,)`` across the tool's axis: to a camera's right, and away from the camera.
 
     Args:
         axis: Direction of the tool ``(3,)``.

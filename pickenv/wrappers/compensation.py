@@ -129,7 +129,7 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
         return observations, rewards, terminations, truncations, infos
 
     def close(self, **arguments: Any) -> None:
-        """Close the environments, to which ``arguments`` are passed, and remove the compensator."""
+        """Close the environments, passing on ``arguments``, and remove the compensator."""
         _remove(_seams(self.env))
         super().close(**arguments)
 
@@ -137,7 +137,7 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
 def _within95(compensator: Compensate, commands: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """Return the bounds that 95 % of the calibrated arm's errors stay below, by their names in `info`.
 
-    The bounds are those at joint commands ``(..., n)``, rad or m. The result is empty if the calibration has no bounds.
+    The bounds hold at the joint commands ``(..., n)``, rad or m. The result is empty if the calibration has no bounds.
     """
     quantile = getattr(compensator, "within95", None)
     position, attitude = (None, None) if quantile is None else quantile(commands.astype(float))

@@ -101,7 +101,7 @@ class _Hung:
 class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Give the arm of another package's MuJoCo environment the errors of a real arm.
 
-    Observations stay those of the nominal arm. `info` gets `tool_error_mm`, the distance between the true
+    Observations do not change; they show the nominal arm. `info` gets `tool_error_mm`, the distance between the true
     and the believed position of the tool.
 
     Without ``contact``, the task must be a reaching task with Gymnasium-Robotics' goal interface (`achieved_goal`,
@@ -174,7 +174,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, self._judged(observation, info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment; without ``contact``, reward and success are those of the tool's true position."""
+        """Step the environment; without ``contact``, compute reward and success from the tool's true position."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         info = self._judged(observation, info)
         if not self._contact:

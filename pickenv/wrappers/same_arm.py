@@ -373,7 +373,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
 
 
 def _joined(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Join the infos of several vector environments into those of one vector environment."""
+    """Join the infos of several vector environments into the infos of one vector environment."""
     columns = {key: [each[key] for each in infos] for key in infos[0]}
     return {key: (_joined if key == "final_info" else np.concatenate)(column) for key, column in columns.items()}
 
@@ -389,16 +389,17 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     | Num       | Observation                                                        | Min | Max | Unit |
     |-----------|--------------------------------------------------------------------|-----|-----|------|
     | 0 to n-1  | joints of the nominal arm at the fruit, scaled to the limits       | -1  | 1   | 1    |
-    | then n    | the joints at the last pick; all past picks in turn, newest first  | -1  | 1   | 1    |
+    | then n    | joints at the last pick; the past picks follow, newest first       | -1  | 1   | 1    |
     | then 3    | true minus believed tool position at that pick, camera's measure   | -20 | 20  | 5 mm |
     | then 1    | whether there was such a pick                                      | 0   | 1   | 1    |
 
-    The reward of a pick is that of `pickenv/Reach-v0` for the gap between tool and fruit that the camera measured,
-    averaged over the steps. A real arm could measure it, so a policy may observe it. With `reward="true"` the reward is
-    computed from the tool's true pose. This reward has no noise. A policy that observed it could locate the fruit with
-    a few probing aims, so use it for training only. A run is truncated after its last pick. `info` has the errors of
-    `pickenv/Reach-v0`, the number of picks so far as `pick`, and the arm's number (from 0) as `arm`. Every run has the
-    same arm unless the environment is made with `arms="per_episode"`. `reset(options={"arm": number})` chooses an arm.
+    The reward of a pick is the reward of `pickenv/Reach-v0` for the gap between tool and fruit that the camera
+    measured, averaged over the steps. A real arm could measure it, so a policy may observe it. With `reward="true"` the
+    reward is computed from the tool's true pose. This reward has no noise. A policy that observed it could locate the
+    fruit with a few probing aims, so use it for training only. A run is truncated after its last pick. `info` has the
+    errors of `pickenv/Reach-v0`, the number of picks so far as `pick`, and the arm's number (from 0) as `arm`. Every
+    run has the same arm unless the environment is made with `arms="per_episode"`. `reset(options={"arm": number})`
+    chooses an arm.
 
     Example:
         >>> import gymnasium as gym
@@ -470,14 +471,14 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     An episode is a run of ``canopies`` episodes of `pickenv/Pick-v0` on one true arm. The arm warms up and sinks into
     the ground from canopy to canopy. Its hours since switch-on increase linearly from the first to the last of
-    ``hours``. Observations and actions are those of the environment. With `feedback="gripper"` the policy observes, at
+    ``hours``. Observations and actions are as in the environment. With `feedback="gripper"` the policy observes, at
     each fruit in the gripper, the error of arm and camera. The step that ends a canopy returns the first observation of
     the next one. The run is truncated after the last canopy.
 
     The reward of a step is 1 for each collected fruit, minus 0.002. A real arm could measure this reward, so a policy
-    may observe it. With `reward="true"` the reward is that of `pickenv/Pick-v0`, which includes damage. `info` has four
-    more entries than the environment's: `canopy` (number of finished canopies), `arm` (the arm's number, from 0),
-    and `run_attempted` and `run_collected` (counts of fruit in the run so far).
+    may observe it. With `reward="true"` the reward is the reward of `pickenv/Pick-v0`, which includes damage. `info`
+    has four more entries than the environment's: `canopy` (number of finished canopies), `arm` (the arm's number, from
+    0), and `run_attempted` and `run_collected` (counts of fruit in the run so far).
 
     Example:
         >>> import gymnasium as gym

@@ -1,4 +1,4 @@
-"""Adapter from vector environments to Stable-Baselines3, which has none for Gymnasium's `VectorEnv`."""
+"""Adapter from Gymnasium's `VectorEnv` to Stable-Baselines3, which has no such adapter of its own."""
 
 from __future__ import annotations
 

@@ -193,10 +193,10 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
     most 15 mm in each of the two directions, and 1 adds at most 30 mm. Sideways steps shrink with the sideways gap
     below 50 mm, upward steps with the whole gap below 50 mm. With a fruit in the gripper the first number has no
     effect, and the second moves the tool up or down by up to 30 mm. The third number commands the gripper. An empty
-    gripper closes if the number is above zero and the gap at most 15 mm. A gripper with a fruit twists as at the
-    gripper command number + 0.5 (at most 1) of `pickenv/Pick-v0`. The gripper never opens again. The tool is kept
-    upright, and the arm does not move once the gap is below 0.2 mm. With n joints the observation is `Box(float32)` of
-    n + 12 numbers:
+    gripper closes if the number is above zero and the gap at most 15 mm. A gripper with a fruit twists: it
+    gets the third number plus 0.5, at most 1, as the gripper command of `pickenv/Pick-v0`. The gripper never opens
+    again. The tool is kept upright, and the arm does not move once the gap is below 0.2 mm. With n joints the
+    observation is `Box(float32)` of n + 12 numbers:
 
     | Num          | Observation                                                        | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------------|-----|-----|--------------|
@@ -232,8 +232,8 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
         """Wrap ``env``.
 
         Raises:
-            InputError: If the observations are not those of a picking task without `feedback="gripper"`, or ``shaping``
-                is not above 0 and at most 1.
+            InputError: If ``env`` is no picking environment or has `feedback="gripper"`, or if ``shaping`` is not above
+                0 and at most 1.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)
         ScaledEnv.__init__(self, env, _steps_of(env, env.observation_space, shaping), shaping)
@@ -258,8 +258,8 @@ class ToolSteppingVector(ScaledVector, RecordConstructorArgs):
         """Wrap ``env``; `ToolStepping` explains ``shaping``.
 
         Raises:
-            InputError: If the observations are not those of a picking task without `feedback="gripper"`, or ``shaping``
-                is not above 0 and at most 1.
+            InputError: If ``env`` is no picking environment or has `feedback="gripper"`, or if ``shaping`` is not above
+                0 and at most 1.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)
         ScaledVector.__init__(self, env, _steps_of(env, env.single_observation_space, shaping), shaping)

@@ -54,7 +54,7 @@ class Servo(Effect, place=MOTOR + 0.5):
         at.turn(memory)
 
     def begin(self, at: Passage) -> Components:
-        """Return the memory at rest: the motor positions, rad or m, which are those commanded."""
+        """Return the memory at rest: the motor positions, rad or m, which equal the joint command."""
         return tuple(at.motor)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
@@ -74,7 +74,8 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
 
     Attributes:
         expansion: Coefficient of linear expansion alpha of each link (n,), 1/K.
-        initial_rise: Temperature rise above that of the measured geometry when the arm is switched on, K.
+        initial_rise: Temperature rise of the arm when it is switched on, K. A rise is counted from the temperature at
+            which the geometry was measured.
         final_rise: Temperature rise of the warm arm, K.
         time_constant: Time constant of the warm-up, s.
     """
@@ -179,7 +180,7 @@ class MeasurementNoise(Effect, place=BESIDE):
         position_std: Standard deviation of a position at zero range, m, per axis.
         attitude_std: Standard deviation of an attitude, rad, per axis.
         range_std: Increase of the position's standard deviation per metre of range, m/m, per axis.
-        centring_std: Standard deviation of the distance of the target's centre from the tool point, m, per axis. The
+        centring_std: Standard deviation of the offset of the target's centre from the tool point, m, per axis. The
             offset is constant as long as the target is mounted.
     """
 

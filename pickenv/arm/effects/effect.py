@@ -49,10 +49,10 @@ BOOM = Then(_boom)
 
 
 TRAVEL = (ARCMIN.not_negative, MM.not_negative)
-"""Units of backlash, lag or error of a revolute joint, and of a prismatic joint."""
+"""Units of a joint's backlash, lag or error: the first for a revolute joint, the second for a prismatic joint."""
 
 LENGTH = (DEG.positive, MM.positive)
-"""Units of a period or a length scale of a revolute joint, and of a prismatic joint."""
+"""Units of a joint's period or length scale: the first for a revolute joint, the second for a prismatic joint."""
 
 
 def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float, ...], ...]:
@@ -84,7 +84,8 @@ class Entry(dict[str, Any]):
 class ByJoint:
     """Annotation of a list of tables, each with a ``joint`` number and sizes.
 
-    The arguments are the sizes by name, each with two units: that of revolute joints and that of prismatic joints.
+    The arguments are the sizes by name. Each has two units: the first for revolute joints, the second for prismatic
+    joints.
     """
 
     def __init__(self, **units: tuple[Unit, Unit]) -> None:
@@ -148,7 +149,8 @@ order the effects of one place."""
 Components = tuple[Scalar, ...]
 
 Weight = tuple[Scalar, Scalar, Scalar]
-"""Mass of a link and all after it, kg, and that mass times x and times y of its centre of mass in the world, kg*m."""
+"""Three numbers: the mass of a link, all later links and the payload, kg; this mass times the world's x of its centre,
+kg*m; and this mass times the world's y of its centre, kg*m."""
 
 
 class Passage:
@@ -289,7 +291,7 @@ class Effect:
     def __init_subclass__(
         cls, place: float, spreads: Mapping[str, str | float] | None = None, needs_load: bool = False, name: str = ""
     ) -> None:
-        """Store the class arguments of a subclass (place, spreads, needs_load and name), which the class describes."""
+        """Store the arguments place, spreads, needs_load and name of a subclass; `Effect` explains them."""
         cls.name = name or re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
         cls.place, cls.spreads, cls.needs_load = place, spreads or {}, needs_load
         cls.remembers = cls.carry is not Effect.carry
@@ -333,7 +335,7 @@ class Effect:
         return ""
 
     def own_sizes(self) -> tuple[Scalar, ...]:
-        """Return the values of those attributes in ``spreads`` that use the effect's own random numbers."""
+        """Return the values of the attributes in ``spreads`` that use the effect's own random numbers."""
         names = (name for name, spread in self.spreads.items() if isinstance(spread, float))
         return tuple(number for name in names for number in _numbers(getattr(self, name)))
 

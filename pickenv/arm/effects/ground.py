@@ -44,7 +44,7 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
     def act(self, at: Passage, memory: Components) -> None:
         """Move the tool of the passage ``at``, in place, by the machine's tilt, creep and settlement.
 
-        Creep and settlement are those in ``memory``; `begin` describes them.
+        ``memory`` has the creep and the settlement, as `begin` describes them.
         """
         (tilt_x, tilt_y), (creep_x, creep_y, settlement) = self._tilt(at), memory
         x0, y0, z0 = self.pivot

@@ -134,7 +134,7 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
         return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
-        """Return an error message if the boom of ``arm`` can extend beyond its overlap, else that of `Boom.fault`."""
+        """Return an error message if ``arm``'s boom can extend beyond its overlap, else `Boom.fault`'s result."""
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
             return super().fault(arm)
@@ -464,7 +464,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
     def flexure(self, at: Passage) -> Flexure:
         """Return a function that moves and turns the frame of each slide in ``bearings``.
 
-        It does so by the slide's deflection under the masses that the slide carries.
+        The function applies the slide's deflection under the masses that the slide carries.
         """
         weights, by_joint = at.pull[0], {bearing.joint: bearing for bearing in self.bearings}
 
@@ -498,7 +498,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return ""
 
     def drawn(self, draws: Draws) -> SlideCompliance:
-        """Return the slides of many arms, the stiffness of their bearings drawn about this effect's values."""
+        """Return the slides of many arms, with the stiffness of their bearings drawn about this effect's values."""
         stiffness = [bearing.stiffness for bearing in self.bearings]
         pairs = zip(self.bearings, draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness"), strict=True)
         return SlideCompliance(tuple(replace(bearing, stiffness=size) for bearing, size in pairs))
@@ -508,7 +508,7 @@ def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     """Return gravity's moment about the point (x, y), N*m: its components about the world's x and y axes.
 
     Args:
-        weight: The mass, kg, and that mass times x and times y of its centre in the world, kg*m.
+        weight: The mass, kg, and this mass times the x and times the y of its centre in the world, kg*m.
         x: World x of the point, m. Its height does not matter.
         y: World y of the point, m.
     """

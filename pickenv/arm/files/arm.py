@@ -16,7 +16,7 @@ from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Ge
 from pickenv.base import KG, MM, InputError, Then, fault, toml_table
 
 MOST_RATIO = 1e3
-"""Largest allowed ratio of a link's displacement to that of the joint that moves it."""
+"""Largest allowed ratio of a link's displacement to the displacement of the joint that moves it."""
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
@@ -82,7 +82,7 @@ class Arm:
         return self.nominal.fingerprint()
 
     def refuse_another(self, geometry: Geometry, what: str) -> None:
-        """Raise an `InputError` unless a geometry is this arm's nominal one.
+        """Raise an `InputError` unless ``geometry`` is this arm's nominal geometry.
 
         Args:
             geometry: The geometry for which something was made.
@@ -102,7 +102,7 @@ class Arm:
             centre: Centre of mass of the payload in the tool's frame (3,), m.
 
         Raises:
-            InputError: If the arm has no masses or is a whole robot, or if a number is not finite or the mass negative.
+            InputError: If the arm has no masses or is a whole robot, a number is not finite, or the mass is negative.
         """
         if self.load is None:
             raise InputError(f"arm '{self.name}' has no masses, which a payload adds to; give a file with <inertial>")

@@ -2,8 +2,8 @@
 
 An arm's TOML file has its nominal link table, limits, base and tool. For a simulated arm it also has the link
 parameters of the true arm. TOML files are in degrees and millimetres, as their keys say; objects are in radians and
-metres. The shipped arms are in `pickenv/arm/files/arms`. A joint table with ``follows`` is a link that another joint
-moves: its displacement is ``ratio`` times that of the joint.
+metres. The shipped arms are in `pickenv/arm/files/arms`. A joint table with ``follows`` describes a link that
+another joint moves. The link's displacement is ``ratio`` times the joint's displacement.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ Vector = tuple[float, float, float]
 
 @toml_tables.toml_table
 class JointTable:
-    """The keys that all entries of [[joints]] in an arm file share, be they revolute, prismatic or following links.
+    """The keys that all entries of [[joints]] in an arm file share: revolute, prismatic and following links.
 
-    ``number`` counts the links from 1. ``alpha`` to ``beta`` are the nominal link parameters (`Geometry`), ``true_…``
-    those of the true arm. ``ratio`` is the link's displacement per displacement of the joint that moves it. ``mass``
-    and ``centre`` are those of the link (`Load`).
+    ``number`` counts the links from 1. ``alpha`` to ``beta`` are the nominal link parameters (`Geometry`); ``true_…``
+    are the link parameters of the true arm. ``ratio`` is the link's displacement per displacement of the joint that
+    moves it. ``mass`` and ``centre`` are the link's mass and centre of mass (`Load`).
     """
 
     _: KW_ONLY
@@ -186,8 +186,8 @@ def read_arm(path: Path) -> Arm:
 def _coupling(links: list[Any], leaders: list[Any]) -> Coupling | None:
     """Return the joint that moves each link, from the entries' ``follows`` and ``ratio``.
 
-    Return None if each joint moves its own link alone. ``links`` are the entries of [[joints]] in order, ``leaders``
-    those that have a joint.
+    Return None if each joint moves its own link alone. ``links`` are the entries of [[joints]] in order,
+    ``leaders`` the entries that have a joint of their own.
     """
     if len(leaders) == len(links) and all(link.ratio == 1.0 for link in links):
         return None

@@ -159,7 +159,7 @@ A link's name may have a prefix before them.
 """
 
 SIDE = 2
-"""A branch (wheels, a head, a pinion) is ignored if another branch has at least this many times its joints."""
+"""A branch (wheels, a head, a pinion) is ignored if another branch has at least `SIDE` times as many joints."""
 
 
 class Carried(NamedTuple):
@@ -222,9 +222,10 @@ def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
 
 
 def _hands(children: Mapping[str, Sequence[Carried]], order: Sequence[str]) -> set[str]:
-    """Return the gripper links: those that a joint with a gripper's name moves, without any other joint after them.
+    """Return the names of the gripper links.
 
-    The set is empty if all joints have names of grippers. ``children`` has the children of each link, by the link's
+    A joint with a gripper's name moves such a link, and all joints after the link have grippers' names too. The set is
+    empty if all joints of the robot have grippers' names. ``children`` has the children of each link, by the link's
     name; ``order`` lists all links, parents first.
     """
     hands: set[str] = set()
@@ -252,11 +253,11 @@ class Drive(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ChainJoint:
-    """A joint between base and tip. Its displacement is ``offset`` plus ``ratio`` times the driving joint's.
+    """A joint between base and tip; its displacement is ``offset`` plus ``ratio`` times the driver's displacement.
 
     Attributes:
         name: Name of the joint, for messages.
-        driver: Name of the commanded joint that drives this joint: its own name, or that of the joint it follows.
+        driver: Name of the commanded joint that drives this joint: its own name, or the name of the joint it follows.
         ratio: Displacement of this joint per displacement of the driver; 0 if it does not move.
         offset: Displacement of this joint if the driver is at zero, rad or m.
         slides: Whether the joint slides (else it turns).
@@ -290,9 +291,9 @@ class Mass(NamedTuple):
 
     Attributes:
         kg: The mass, kg; not a number if the file leaves it to the body's shapes.
-        path: Names of the joints from the body to the root, each with the centre of mass (3,), m, in the frame of the
-            link that the joint moves. The frame's origin is on the joint's axis. All joints between this link and the
-            body are at zero.
+        path: Names of the joints from the body to the root. Each name comes with the body's centre of mass (3,), m, in
+            the frame of the link that this joint moves. The frame's origin is on the joint's axis. All joints between
+            the link and the body are at zero.
     """
 
     kg: float

@@ -58,7 +58,7 @@ STIFFNESS, DAMPING = 2000.0, 200.0
 """Stiffness of the position drives, N*m/rad or N/m, and their damping, N*m*s/rad or N*s/m."""
 
 RODS = "masses"
-"""Name of the text element that marks a written file whose masses are those of rods; such masses are not read back."""
+"""Name of the text element that marks a written file in which links have masses of rods, which are not read back."""
 
 TOOL_SITE = "tool"
 
@@ -181,7 +181,7 @@ class MjcfValues:
         return cls(unit == "degree", sequence, settings.get("autolimits", "true") == "true", defaults)
 
     def merged(self, tag: str, element: Element, childclass: str) -> Attributes:
-        """Return an element's attributes, completed by those of its default class.
+        """Return an element's attributes, completed by the attributes of its default class.
 
         Args:
             tag: "joint" or "site".
@@ -511,7 +511,7 @@ def _joints(
 def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> dict[str, tuple[str, float, float]]:
     """Return for each joint with an equality constraint the joint (or the world) that it follows, ratio and offset.
 
-    The displacement of the joint is the offset, rad or m, plus the ratio times that of the joint that it follows.
+    The displacement of the joint is the offset, rad or m, plus the ratio times the followed joint's displacement.
     """
     ties: dict[str, tuple[str, float, float]] = {}
     for tie in root.iterfind("equality/joint"):
@@ -536,7 +536,7 @@ def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> di
 def _refuse_loops(root: Element, bodies: Mapping[str, _Body], moved: set[str]) -> None:
     """Raise an error if a constraint closes a loop through one of the bodies ``moved``.
 
-    These are the keys in ``bodies`` of the bodies that the joints of the chain move.
+    ``moved`` has the keys in ``bodies`` of the bodies that the joints of the chain move.
     """
     for tie in (*root.iterfind("equality/connect"), *root.iterfind("equality/weld")):
         ends = [f"site {tie.get(f'site{i}')}" if tie.get("site1") else tie.get(f"body{i}") for i in (1, 2)]

@@ -115,27 +115,29 @@ def nearest_whole(m: ModuleType, value: Scalar) -> Scalar:
 
 
 PARALLEL = 1e-9
-"""Axes whose directions have a cross product shorter than this count as parallel."""
+"""Two axes count as parallel if the cross product of their directions is shorter than this."""
 
 NEARLY_PARALLEL = 1e-2
-"""Axes with a shorter cross product count as nearly parallel; their remaining angle goes into Hayati's beta.
+"""Two axes count as nearly parallel if their cross product is shorter; their angle goes into Hayati's beta.
 
 Such small angles come from a file's rounding or a part's tolerance. The common normal of such axes would be far away:
 kilometres, if a file rounds half a turn to 3.1416.
 """
 
 SKEW = 0.7
-"""The angle of axes with a shorter cross product goes into beta too, if they are far apart at the first one's frame.
+"""The angle of two axes goes into beta too if their cross product is shorter than this and they are far apart.
 
-A small tilt of one axis moves the feet of the common normal far along both: by the normal's length times the tilt /
-sine^2. With beta, the link runs straight across to the other axis instead. Then a displacement of that axis only turns
-the link, by the displacement / distance.
+`TILT_LEVER` defines far apart. A small tilt of one of such axes moves both feet of the common normal far along the
+axes: by the normal's length times the tilt / sine^2, with the sine of the angle between the axes. With beta, the link
+runs straight across to the other axis instead. Then a displacement of that axis only turns the link, by the
+displacement / distance.
 """
 
 TILT_LEVER = 0.15
-"""Axes are far apart if the next one is farther, straight across, than this length, m, times the sine of their angle.
+"""Two axes are far apart if their distance exceeds this length, m, times the sine of the angle between them.
 
-It is a part's tolerance of length divided by its tolerance of angle.
+The distance is measured straight across, from the frame on the first axis. The length is a part's tolerance of length
+divided by its tolerance of angle.
 """
 
 
@@ -193,9 +195,9 @@ def geometry_from_axes(
 
 
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
-    """Return origin (3,), m, and x direction (3,) of the frame on a joint's axis, from its common normal with the next.
+    """Return origin (3,), m, and x direction (3,) of the frame on a joint's axis, from the common normal with the next.
 
-    The axis has the direction ``z`` and contains the point ``near``; the next one has ``next_z`` and ``point``. For
+    The axis has the direction ``z`` and contains the point ``near``; the next axis has ``next_z`` and ``point``. For
     parallel axes, and for axes whose angle goes into beta, the origin is ``near``. If the axes coincide, x is as near
     to the direction ``previous`` as possible.
     """
@@ -338,7 +340,7 @@ def _from_the_sensor(chain: Chain, links: list[Frame], frame: Frame) -> Frame:
 def _from_the_base(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = None) -> list[Frame]:
     """Compute the frames of base and links from the chain's base, whatever link has the sensor.
 
-    The arguments are those of `frames`.
+    `frames` explains the arguments.
     """
     sin, cos = m.sin, m.cos
     if chain.coupling is not None:
@@ -400,7 +402,7 @@ def attach(frame: Frame, tool: Frame | None) -> Frame:
 
 
 def tool_frame(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = None) -> Frame:
-    """Compute the frame of the tool in world axes; the arguments are those of `frames`."""
+    """Compute the frame of the tool in world axes; `frames` explains the arguments."""
     links = _from_the_base(m, chain, q, flexure)
     hand = chain.hand(links)
     if chain.tree is not None and chain.tree.sensor >= 0:
@@ -428,7 +430,7 @@ def forward(geometry: Geometry, q: ArrayLike) -> Pose:
     """Compute the tool pose at joints ``q``.
 
     Args:
-        geometry: The arm; its link parameters may carry batch dimensions that broadcast with those of ``q``.
+        geometry: The arm; its link parameters may carry batch dimensions that broadcast with ``q``'s.
         q: Joint displacements ``(..., n)``, rad or m.
 
     Returns:

@@ -1,8 +1,8 @@
 """An arm as a serial chain of revolute and prismatic joints in modified DH parameters, with base and tool poses.
 
 Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
-beta added. Beta is for consecutive axes inclined by less than 45 degrees, unless they nearly meet at the first one's
-frame; it is zero in every shipped table. Units: metres and radians.
+beta added. Beta is for consecutive axes inclined by less than 45 degrees, unless they nearly meet at the first axis's
+frame. Beta is zero in every shipped table. Units: metres and radians.
 
 One drive may move several links (a two-stage lift, a parallelogram), so there may be more links than joints. The link
 table has a row per link. Joint values, names and limits belong to the commanded joints (`Coupling`).
@@ -174,7 +174,7 @@ class Geometry:
 
     @property
     def ratios(self) -> tuple[float, ...]:
-        """For each link, the ratio of its displacement to that of the joint that moves it, shape (L,)."""
+        """For each link, the ratio of its displacement to the displacement of the joint that moves it, shape (L,)."""
         return (1.0,) * self.joints if self.coupling is None else self.coupling.ratio
 
     @property
@@ -314,8 +314,8 @@ def from_standard_dh(
 ) -> Geometry:
     """Return the `Geometry` of a standard (distal) DH table, Rot(z, theta) Trans(z, d) Trans(x, a) Rot(x, alpha).
 
-    The factors are regrouped into modified DH links: a and alpha of link i become those of modified link i + 1. The
-    last link's a and alpha become part of the tool pose. The conversion is exact.
+    The factors are regrouped into modified DH links: a and alpha of link i become a and alpha of modified link
+    i + 1. The last link's a and alpha become part of the tool pose. The conversion is exact.
 
     Args:
         joint_names: Names of the joints.

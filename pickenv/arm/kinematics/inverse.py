@@ -31,7 +31,7 @@ Within this limit the linearisation by the Jacobian is valid.
 """
 
 NUMERIC_TOLERANCE = 1e-6
-"""Smallest relative singular value that is used: directions with a smaller one are always cut off."""
+"""Smallest relative singular value that is used; directions with smaller singular values are always cut off."""
 
 
 POOL, NEAREST, DAMPED_STEPS = 2**13, 8, 40
@@ -94,8 +94,8 @@ def inverse(
         position_only: Whether to ignore the attitude. An arm of few joints reaches few positions with a given attitude.
 
     Returns:
-        An `InverseSolution`. If a target is not reached, ``reached`` is False, and the joints are those of all starts
-        that leave the smallest error.
+        An `InverseSolution`. If a target is not reached, ``reached`` is False, and the joints are from the start that
+        leaves the smallest error.
 
     Raises:
         ValueError: If the target or the start is not finite.

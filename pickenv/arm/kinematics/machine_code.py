@@ -313,7 +313,7 @@ FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
 class Compiled:
-    """A trace compiled to loops over the poses, the last of which writes the outputs.
+    """A trace compiled to loops over the poses; the last loop writes the outputs.
 
     Before each call of a function of whole arrays (`Trace.calls`), a loop computes the function's arguments.
 

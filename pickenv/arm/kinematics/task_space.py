@@ -343,7 +343,8 @@ def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple
 DIRECTION_TOLERANCE = 5e-3
 """Share of the largest singular value below which joint motion cannot move the tool in a direction.
 
-On the picking arm the fifth singular value stays above 0.11 of the first, and a real arm's sixth below 0.001.
+On the picking arm the fifth singular value stays above 0.11 times the first. A real picking arm's sixth singular value
+stays below 0.001 times the first.
 """
 
 
@@ -394,7 +395,7 @@ def noncompensable_error(
 ) -> Array:
     """Compute the part ``(..., 6)`` of a pose error that no small joint motion removes.
 
-    It is what remains of the error after the joint motion that makes the weighted error smallest. For the picking arm
+    This part remains after the joint motion that makes the weighted error smallest. For the picking arm
     this part is a rotation about z1 x z5, because J1, J2 and J4 are parallel, and so are J5 and J6.
 
     Args:

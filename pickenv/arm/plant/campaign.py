@@ -302,9 +302,9 @@ def causes_of(plant: Plant) -> tuple[str, ...]:
 
 
 def alone(plant: Plant, *names: str) -> Plant:
-    """Return the plant (the true arm with its errors) with only the causes ``names`` of its error switched on.
+    """Return the plant (the true arm with its errors) with only some causes of its error switched on.
 
-    The names are some of those that `causes_of` returns. Without "geometry", the true geometry is the nominal one.
+    ``names`` names these causes, as `causes_of` does. Without "geometry", the true geometry is the nominal one.
     """
     geometry = plant.geometry if GEOMETRY in names else plant.arm.nominal
     return replace(plant, geometry=geometry, effects=tuple(effect for effect in plant.effects if effect.name in names))

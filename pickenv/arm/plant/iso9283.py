@@ -47,7 +47,7 @@ NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / mat
 
 @dataclass(frozen=True)
 class Iso9283Settings:
-    """Settings of the test by ISO 9283; default values are those of the standard where the standard gives a value.
+    """Settings of the test by ISO 9283; the defaults are the standard's values if the standard gives them.
 
     Attributes:
         cycles: Number of measurements per pose.
@@ -84,7 +84,7 @@ Performance = dict[str, Any]
 - variation_mm, variation_deg: vAP at P1, P2 and P4: the largest difference between the mean poses of three approach
   directions.
 - drift_mm, drift_deg: dAP: the largest change of AP at P1 since the start of the drift test.
-- wander_mm: the largest distance of the mean position at P1 from that at the start of the drift test.
+- wander_mm: the largest distance of the mean position at P1 from the mean position at the start of the drift test.
 - drift_hours, drift_accuracy_mm: the times of the drift measurements, and AP_P at P1 at these times.
 - worst_accuracy_mm, worst_repeatability_mm: the largest AP_P and RP_l of the five poses.
 """
@@ -172,7 +172,7 @@ def iso9283(
             the uncalibrated arm is tested.
         rng: Random generator for the friction of each stop and the instrument's noise. The uncalibrated and the
             calibrated arm get the same random numbers.
-        settings: Settings of the test; those of the standard by default.
+        settings: Settings of the test; the standard's settings by default.
         cube: The cube that contains the test poses; the largest cube in the workspace by default.
         reference: The geometry whose forward kinematics turn joint targets into commanded poses; by default the arm's
             nominal geometry. After a calibration that fitted base and tool, give that calibration's nominal geometry.

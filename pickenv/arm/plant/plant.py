@@ -5,7 +5,7 @@ friction, backlash, compliance, vibration, thermal growth, slides and boom, grou
 effects the plant is exactly the true geometry. Some effects depend on the joints alone. The others have a memory, whose
 components may be floats, arrays or tensors.
 
-One plant can stand for many arms, for it may have arrays with one entry per arm as its numbers. In a batch of N arms,
+One plant can stand for many arms: its numbers may be arrays with one entry per arm. In a batch of N arms,
 link parameters of the geometry are ``(N, n)`` and other numbers ``(N,)``. A number that all arms share stays a plain
 number. Base and tool are shared, or have one entry per arm too.
 """
@@ -86,7 +86,7 @@ class Layout:
 class Posterior:
     """The posterior distribution of a calibrated arm over P = 5L + 12 + k parameters.
 
-    The parameters are those of the geometry, then the k coefficients of `Layout`. A sample is the identified value,
+    The parameters are the geometry's parameters, then the k coefficients of `Layout`. A sample is the identified value,
     plus ``factor`` times p standard normal numbers, plus ``traces`` times d deviations within tolerances.
 
     Attributes:
@@ -96,7 +96,7 @@ class Posterior:
         coefficients: The identified coefficients ``(k,)``.
         factor: Change of the parameters per standard normal number ``(P, p)``; a sample takes p numbers.
         unseen: Indices, from 0, of the d parameters that the data do not identify ``(d,)``.
-        traces: Change of all P parameters per unit of each of these d parameters ``(P, d)``, such that the tool keeps
+        traces: Change of all P parameters per unit of each unidentified parameter ``(P, d)``, such that the tool keeps
             the measured poses.
         field: The residual field with its mean weights, or None.
         field_factor: Change of the weights of each output's K smooth waves, cosines then sines, per standard normal
@@ -172,7 +172,7 @@ class Plant:
 
     @property
     def names(self) -> list[str]:
-        """The names of the plant's effects in the order of tables and reports: those that ship with pickenv first."""
+        """The names of the plant's effects in the order of tables and reports: shipped effects come first."""
         names = {effect.name: None for effect in self.effects}
         return list(dict.fromkeys([*(name for name in registry.names("effect") if name in names), *names]))
 
@@ -192,7 +192,7 @@ class Plant:
             effects: One name, or several.
 
         Raises:
-            InputError: If a name is neither that of a registered effect nor that of an effect of this plant.
+            InputError: If neither a registered effect nor an effect of this plant has one of the names.
         """
         off, registered = {effects} if isinstance(effects, str) else set(effects), registry.names("effect")
         for name in sorted(off - {*registered, *(effect.name for effect in self.effects)}):
@@ -203,8 +203,8 @@ class Plant:
     def _steps(self) -> tuple[list[_Step], list[_Step], list[_Step]]:
         """The effects that move the arm, in three lists about the last effect that has a memory.
 
-        The first list has the effects that act earlier than this effect, the second the effect alone, the third those
-        that act later. Without a memory, all effects are in the third list.
+        The first list has the effects that act before this effect. The second list has this effect alone. The third
+        list has the effects that act after it. If no effect has a memory, all effects are in the third list.
         """
         on_arm = [effect for effect in self.effects if effect.place < BESIDE]
         acting = [effect for effect in on_arm if self.load is not None or not effect.needs_load]
@@ -265,7 +265,7 @@ class Plant:
 
         Returns:
             The new state, and the true tool frame at the end in world axes. If no effect has a memory, the frame is
-            that of `tool_frame`.
+            the result of `tool_frame`.
         """
         new, at = self._passage(m, q, CARRY, state, dt)
         return new, self._ended(new, at)
@@ -279,8 +279,8 @@ class Plant:
     ) -> tuple[PlantState, Passage]:
         """Return the effects' new memories, and the command's passage just before the last effect with a memory acts.
 
-        ``how`` is the index of the method that makes the memories: BEGIN, REST or CARRY. With CARRY, the memories are
-        those ``dt`` seconds after ``state``.
+        ``how`` is the index of the method that makes the memories: BEGIN, REST or CARRY. CARRY gives the memories
+        ``dt`` seconds after ``state``.
         """
         at = Passage(m, self.chain, self.load, q)
         memories: list[Components] = []
@@ -404,8 +404,8 @@ def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry
 
     Args:
         geometry: The geometry.
-        change: Function that returns the new array. Its arguments are the array of ``geometry`` and those of
-            ``others``.
+        change: Function that returns the new array. Its arguments are the array of ``geometry`` and the
+            arrays of ``others``.
         others: Geometries whose arrays the function needs too.
     """
     tables = (geometry, *others)

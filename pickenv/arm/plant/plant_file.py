@@ -229,9 +229,10 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
 
     Args:
         name: A preset's name, a path to a plant file (.toml) or to a twin of a calibrated arm (.npz), "ideal:ARM", or
-            "CLASS:ARM". CLASS is a tolerance class, and ARM an arm, beside a class also a plant, each by name or path.
-            "CLASS:ARM" is the design from which `draw_arms` draws arms. A plant's name may end in "#" and a number,
-            such as "#3": then its unmeasured constants are those of this random draw (`with_drawn_constants`).
+            "CLASS:ARM". CLASS is the name or path of a tolerance class. ARM is the name or path of an arm; after a
+            class it may also be a plant. "CLASS:ARM" is the design from which `draw_arms` draws arms. A plant's name
+            may end in "#" and a number, such as "#3": then its unmeasured constants come from the random draw with this
+            number (`with_drawn_constants`).
         without: Names of effects to switch off.
 
     Raises:
@@ -275,12 +276,12 @@ def draw_arms(
 def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
     """Return the plant of an arm without a plant file: with backlash, compliance and thermal growth.
 
-    Its masses are those of the arm's file, or else of `rods`.
+    Its masses come from the arm's file, or else from `rods`.
 
     Args:
         arm: The arm.
         sizes: Sizes of the effects.
-        final_rise: Temperature rise of the warm arm above that of the measured geometry, K.
+        final_rise: Temperature rise of the warm arm, counted from the temperature of the measured geometry, K.
     """
     one_link_per_joint(arm)
     slides, load = np.array(arm.nominal.prismatic), arm.load or rods(arm)
@@ -319,7 +320,7 @@ def _largest_torques(arm: Arm, load: Load) -> Array:
 
 
 def _split(name: str | Path) -> tuple[str, str]:
-    """Split a plant's name into its tolerance class or "ideal", empty if it has none, and the arm's or plant's name."""
+    """Split a name such as "coarse:ur5e" into two: tolerance class or "ideal" (empty if neither), and arm or plant."""
     kind, colon, arm_name = str(name).partition(":")
     if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
         return kind, arm_name or FIRST_ARM

@@ -5,8 +5,8 @@ um up to 500 mm, k (0.004 D + 2.1) um above, with D in mm. Sizes of effects are 
 
 A twin is the identified arm as a plant, in a file (.npz with a checksum). The identified base and tool are transformed
 from the instrument's frame into the arm's own frame: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own, with the
-nominal arm's B_own and T_own. The arm's errors relative to its nominal geometry are then those that were measured
-relative to the aligned nominal geometry. Objects have m, rad, K, s.
+nominal arm's B_own and T_own. The arm's errors relative to its nominal geometry then equal the errors that
+were measured relative to the aligned nominal geometry. Objects have m, rad, K, s.
 """
 
 from __future__ import annotations
@@ -94,7 +94,8 @@ class Tolerances:
     Attributes:
         name: Name of the class.
         it_grade: ISO 286-1 grade of the lengths a and d. Deviations are within plus or minus half the tolerance.
-        least_length: Length, m, whose tolerance shorter lengths have too: even at a = 0, a part's seat has a tolerance.
+        least_length: Shortest length with a tolerance of its own, m. Shorter lengths have the tolerance of this length,
+            because even at a = 0 a part's seat has a tolerance.
         angle: Half-width of the tolerance zone of the assembly angles alpha and theta, rad.
         distribution: ``uniform`` over the tolerance zone, or ``normal`` with the zone's edges at three standard
             deviations.
@@ -139,10 +140,10 @@ def load_tolerances(name: str | Path) -> Tolerances:
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:
     """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
 
-    Link parameters are drawn about the nominal geometry, effect sizes about those of ``plant``. Arm i has its own
-    random stream, child i (from 0) of ``rng``. The arm therefore does not depend on ``count``. Its numbers do not
-    depend on which effects are on, either; only effects with random numbers of their own take numbers at the end of the
-    stream.
+    Link parameters are drawn about the nominal geometry, effect sizes about the sizes in ``plant``. Arm i has its own
+    random stream, child i (from 0) of ``rng``. The arm therefore does not depend on ``count``. Nor do the
+    arm's random numbers depend on which effects are on: effects with random numbers of their own take them at the end
+    of the stream.
 
     If the plant was made from a calibration, the arms are drawn from the calibration's posterior distribution. The
     parameters that its data do not identify are drawn within their tolerances about the identified values.
@@ -317,7 +318,7 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
 def _weights(posterior: Posterior, field: ResidualField, rng: np.random.Generator) -> Array:
     """Return a random deviation of the weights of the field's waves ``(O, 2, K)`` from their mean, m and rad.
 
-    There are O outputs with K waves each; the weights are those of cosines, then of sines.
+    There are O outputs with K waves each; weights of cosines come first, then weights of sines.
     """
     outputs, count, smooth = field.features.outputs, field.features.count, posterior.field_factor.shape[-1] // 2
     normal = rng.standard_normal((outputs, 2 * smooth))

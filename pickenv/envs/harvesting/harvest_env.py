@@ -111,13 +111,13 @@ class HarvestEnv(DrawnEnv):
     - `ideal` (bool, default False): whether the machine is built exactly as designed.
     - `vision`: how the camera's errors are made. "measured_errors" (default) draws detections and errors from a table,
       which was made by detecting fruit in rendered pictures of this canopy. "rendered" renders a stereo pair of each
-      zone and detects the fruit in it (a tenth of a second, needs the extra `harvest`). "ideal" shows all fruit where
-      it is.
+      zone and detects the fruit in it (a tenth of a second, needs the extra `harvest`). "ideal" shows all fruit at its
+      true position.
     - `detector`: "li2016" (default; R-G, Otsu, centroids) or "circles".
     - `canopy`: "li2016" (default, with leaves) or "li2016_bare" (without). False detections are not simulated.
     - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1 are clipped or raise an error.
-    - `executor` ("auto" or "numpy"): "auto" computes cups and distances between arms in machine code where llvmlite is
-      installed. Its results equal those of NumPy up to rounding (1e-12).
+    - `executor` ("auto" or "numpy"): "auto" computes cups and distances between arms in machine code if llvmlite is
+      installed. Its results equal NumPy's up to rounding (1e-12).
     - `render_mode` (None, "human" or "rgb_array").
 
     `pickenv.wrappers.CompensationWrapper` takes a compensator of the whole machine's joints, for example a
@@ -126,8 +126,8 @@ class HarvestEnv(DrawnEnv):
     ## Version History
 
     * v0: First version. Two things changed before its first release. Attempts are now decided as in the reproduction of
-      Li's experiment, with log-normal pushes and swinging fruit. The cameras now see what a stereo pair can, instead of
-      97 % of the fruit to a millimetre. Returns from before these changes cannot be compared.
+      Li's experiment, with log-normal pushes and swinging fruit. The cameras now see what a stereo pair can
+      see. Before, they saw 97 % of the fruit to a millimetre. Returns from before these changes cannot be compared.
     """
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
@@ -252,7 +252,7 @@ UP = np.array([0.0, 0.0, 1.0])
 def draw_harvest(
     task: batch.HarvestTask, states: batch.HarvestState, compensate: Compensate | None, row: int = 0, dark: bool = False
 ) -> Stage:
-    """Return the stage to draw for one machine before its zone.
+    """Return the stage to draw for one machine in front of its zone.
 
     Args:
         task: The task.
@@ -332,7 +332,7 @@ def _ghosts(pivots: Array, tips: Array, radius: float) -> shapes.Solids:
 
 
 def zone_fruit(state: batch.HarvestState) -> shapes.Solids:
-    """Return the solids of all fruit before the first machine of ``state`` that is not collected.
+    """Return the solids of all fruit in front of the first machine of ``state``, except collected fruit.
 
     Ripe fruit in reach is red, fruit out of reach is green, and lost fruit has a third colour.
     """

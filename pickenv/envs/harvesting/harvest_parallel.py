@@ -1,7 +1,7 @@
 """`pickenv/Harvest-v0` for PettingZoo, in which the master and each slave arm are agents (extra ``marl``).
 
-The simulator is that of the Gymnasium environment. Each agent moves its three joints. It observes the whole machine,
-followed by a one-hot vector that says which agent it is. All agents get the same reward.
+The simulator is the same as in the Gymnasium environment. Each agent moves its three joints. It observes the whole
+machine, followed by a one-hot vector that says which agent it is. All agents get the same reward.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         """Move all agents' joints for one period; agents without an action do not move.
 
         Raises:
-            InputError: If an action is not three finite numbers or of no agent, or if `reset` was not called before.
+            InputError: If an action is not three finite numbers, an action is for an unknown agent, or `reset` was not
+                called before.
         """
         if self._shared is None:
             raise InputError("step was called before reset; call reset first")

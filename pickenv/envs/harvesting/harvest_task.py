@@ -437,11 +437,11 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
     Args:
         task: The task.
         start: Joints of whole machines before the move (machines, joints), rad or m.
-        target: Joints after the move, of the same shape; those of stopped arms are set back to ``start``.
+        target: Joints after the move, of the same shape; the joints of stopped arms are set back to ``start``.
 
     Returns:
         The number of arms stopped, and the least distance between two arms' centre lines, m, (machines,) each. The
-        distance is the smaller of those half way and at the end of the move.
+        distance is the smaller of two: half way through the move, and at its end.
     """
     machine, n = task.machine, len(start)
     arms = machine.arms

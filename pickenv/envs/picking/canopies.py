@@ -37,7 +37,7 @@ from pickenv.pictures.shapes import (
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 
 ABSENT = np.zeros((), pick_scene.FRUIT)
-"""Record of an absent fruit, far away. Canopies with less fruit than the fullest one are filled up with it."""
+"""Record of an absent fruit, far away. It fills up the array for canopies with less fruit than the fullest one."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
 FUNNEL = ("visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
@@ -48,7 +48,7 @@ OWN = ("sight", "number", "still", "moments")
 
 
 class Canopies:
-    """The fruit before N picking arms, and where the arms' tools are.
+    """The fruit in front of N picking arms, and where the arms' tools are.
 
     A fruit's index counts from 0 in its canopy. M is the number of fruit in the fullest canopy.
 
@@ -257,7 +257,7 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
     """Return what to draw for a picking arm: the arm, its ghost (the believed arm), gripper, camera, fruit and trees.
 
     Args:
-        canopies: One or more arms before their canopies.
+        canopies: One or more arms in front of their canopies.
         row: Index of the arm to draw, from 0.
         dark: Whether the background is dark.
     """

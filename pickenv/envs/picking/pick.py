@@ -25,14 +25,13 @@ class PickEnv(ArmEnv):
 
     ## Description
 
-    A six-joint picking arm (Qiao 2026) stands before a section of canopy, 0.9 m wide and 0.8 m high, that holds some
-    ten fruit. The environment chooses the present fruit, which is to be picked next, among those that the camera found
-    within reach and that were not tried yet. By default it is the nearest to the believed tool (see `order`). Each
-    fruit can be tried once. The policy
-    commands the *nominal* arm, that is the model that its controller believes in. But the *true* arm moves. It also
-    vibrates after every move, so that haste costs accuracy. The gripper takes a fruit if the true tool is near enough
-    to it. A failed grasp pushes neighbouring fruit aside, as does a tool that touches fruit on its way. The pushed
-    fruit swings for a while.
+    A six-joint picking arm (Qiao 2026) stands in front of a section of canopy, 0.9 m wide and 0.8 m high, that holds
+    some ten fruit. The environment chooses the present fruit, which is to be picked next, among those that the camera
+    found within reach and that were not tried yet. By default it is the nearest to the believed tool (see `order`).
+    Each fruit can be tried once. The policy commands the *nominal* arm, that is the model that its controller believes
+    in. But the *true* arm moves. It also vibrates after every move, so that haste costs accuracy. The gripper takes a
+    fruit if the true tool is near enough to it. A failed grasp pushes neighbouring fruit aside. So does a tool that
+    touches fruit on its way. The pushed fruit swings for a while.
 
     ## Action Space
 
@@ -82,8 +81,8 @@ class PickEnv(ArmEnv):
     observation.
 
     So haste costs more than the time it saves. The scripted policy moves gently, waits half a second before each grasp,
-    and has a calibrated arm. The table shows what it loses without these, on 60 canopies of some seven fruit in reach
-    (simulated; mean and 95 % interval per canopy, tests/envs/picking/test_pick.py):
+    and has a calibrated arm. The table shows what the policy loses without these, on 60 canopies of some seven fruit in
+    reach (simulated; mean and 95 % interval per canopy, tests/envs/picking/test_pick.py):
 
     | What is left out                 | Fruit collected        | Reward                 |
     |----------------------------------|------------------------|------------------------|
@@ -100,7 +99,7 @@ class PickEnv(ArmEnv):
     - `"fruit"`, positions (n, 3) in the base frame in m;
     - `"start_joints"` (rad and m);
     - `"hours"` (h), for which the arm has been switched on, in place of `hours_on`;
-    - where `arms` is not "fixed", `"arm"`, the index of the arm in the population, from 0.
+    - if `arms` is not "fixed", `"arm"`, the index of the arm in the population, from 0.
 
     All random numbers are drawn from `np_random` in `reset`. What happens afterwards depends only on the actions, and a
     seed gives the same fruit to every arm.
@@ -168,8 +167,9 @@ class PickEnv(ArmEnv):
       nor the error from partly hidden fruit.
     - `vision`: how the camera's errors are made. "published" (default) uses the published errors of `camera`. The
       others use Li's stereo pair instead. "rendered" renders its two pictures and detects the fruit in them (a tenth of
-      a second and more; needs the extra `harvest`). "measured_errors" draws detections and errors from the table made
-      that way in this canopy. "ideal" shows all fruit where it is.
+      a second and more; needs the extra `harvest`). "measured_errors" draws detections and errors from a table,
+      which was made by detecting fruit in rendered pictures of this canopy. "ideal" shows all fruit at its true
+      position.
     - `detector` ("li2016", the default, or "circles"): what detects fruit in the pictures.
     - `order` ("nearest" to the believed tool, the default, "lowest", "highest" or "foremost"): which fruit is next.
     - `feedback` ("encoders", the default, or "gripper"): with "gripper" the gripper measures where a fruit that it took
@@ -205,7 +205,7 @@ class PickEnv(ArmEnv):
         self.scene: PickScene
 
     def reset(self, *, seed: int | None = None, options: Options = None) -> tuple[NDArray[np.float32], Information]:
-        """Start an episode before a new section of canopy; see the class for `options`."""
+        """Start an episode at a new section of canopy; see the class for `options`."""
         super().reset(seed=seed)
         options = given_options(options, PICK_OPTIONS)
         task, joints, arm = self.task, options.get("start_joints"), options.get("arm")

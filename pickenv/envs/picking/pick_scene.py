@@ -1,9 +1,9 @@
-"""The fruit before a picking arm: its positions, true and seen, and how it is pushed, taken, twisted off and collected.
+"""The fruit at a picking arm: its true and seen positions, and how it is pushed, taken, twisted off and collected.
 
 Everything is in the arm's base frame (m, s, N). This frame is the orchard frame shifted and turned by half a turn about
-z, so that trees stand at -y. The tool is a cylinder that opens upwards and approaches from below; its position is that
-of its upper end. All random numbers are drawn at the start of an episode, so that two policies meet the same fruit and
-outcomes.
+z, so that trees stand at -y. The tool is a cylinder that opens upwards and approaches from below; its position is the
+position of its upper end. All random numbers are drawn at the start of an episode, so that two policies meet the same
+fruit and outcomes.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ positions that the user gives, which stay the same in each draw."""
 
 @dataclass(frozen=True, eq=False)
 class PickSetting:
-    """The orchard before the arm, the camera that sees its fruit, and the gripper that takes it.
+    """The orchard in front of the arm, the camera that sees its fruit, and the gripper that takes it.
 
     Attributes:
-        canopy: The foliage before the arm.
+        canopy: The foliage in front of the arm.
         fruit_map: Distribution of the number of fruit along the row of trees.
         size: Diameter and density of fruit.
         camera: Errors of the camera that sees the fruit, unless `eyes` is given.
@@ -158,7 +158,8 @@ class PickScene:
         masses: Masses of the fruit, kg.
         displacement: Present position of the fruit minus `rest`, m, shape (n, 3).
         velocity: Velocity of the fruit, m/s, shape (n, 3).
-        chance: Uniform random numbers; a grasp succeeds if its probability of success is larger.
+        chance: Uniform random numbers from 0 to 1. A grasp succeeds if its probability of success is above the fruit's
+            number.
         pull_limit: Pull that takes the fruit off its stem, N.
         twist_limit: Torque about the stem that takes the fruit off, N m.
         visible: Whether the camera found the fruit.
@@ -334,7 +335,7 @@ def draw_scenes(
 
     Raises:
         InputError: If no draw of an episode has a fruit that is both seen and in reach. There are `ATTEMPTS` draws, or
-            `GIVEN_ATTEMPTS` where positions are given.
+            `GIVEN_ATTEMPTS` if positions are given.
     """
     centres = [None if positions is None else _given_fruit(positions) for positions in given]
     scenes: dict[int, PickScene] = {}
@@ -433,7 +434,7 @@ PICK_FEEDBACK = ("encoders", "gripper")
 """Values of `feedback`. With "gripper" the policy observes the position of each held fruit in the gripper."""
 
 MOST_FELT = 0.1
-"""Bound of the observed position of a fruit in the gripper. The gripper does not take fruit as far off as this."""
+"""Bound of the observed position of a fruit in the gripper. The gripper takes no fruit that is so far off."""
 
 
 OF_THE_ARM = ("without", "arms", "tolerances", "population", "population_seed", "out_of_range")

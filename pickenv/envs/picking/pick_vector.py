@@ -31,7 +31,7 @@ class PickVectorEnv(NativeVectorEnv):
     is. They are equal to the bit if the single environment has `executor="numpy"`.
 
     `reset(options={"reset_mask": mask})` begins episodes where the mask is True; the other environments continue. The
-    other options are those of `pickenv/Pick-v0`. Each has one value for all environments, or one value for each:
+    other options are the options of `pickenv/Pick-v0`. Each has one value for all environments, or one value for each:
     "fruit" as ``(n, 3)`` or ``(N, n, 3)``, "start_joints" as ``(6,)`` or ``(N, 6)``, "arm" and "hours" as a number or
     ``(N,)``.
 
@@ -184,7 +184,7 @@ class PickBatch(NumpyArms):
     """The state of N picking arms.
 
     Attributes:
-        canopies: The fruit before the arms, and where the arms' tools are.
+        canopies: The fruit in front of the arms, and where the arms' tools are.
     """
 
     def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:

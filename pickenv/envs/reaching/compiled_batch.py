@@ -1,6 +1,6 @@
 """Many reach tasks on NumPy arrays, with the step compiled into one pass over the environments.
 
-Results equal those of `NumpyBatch` up to rounding. The first step traces the simulation and compiles it to machine code
+Results equal `NumpyBatch`'s up to rounding. The first step traces the simulation and compiles it to machine code
 (`pickenv.arm.kinematics.machine_code`). Episodes begin on NumPy.
 """
 

@@ -97,13 +97,13 @@ class ReachEnv(ArmEnv):
     | 5   | J6 twist          | -1          | 1           | 18                | deg  |
 
     The environment adds the increments to a nominal joint target, keeps the target inside the joint limits, and hands
-    it to the drives. If `pickenv.wrappers.CompensationWrapper` has installed a compensator, this corrects the target
-    first.
+    it to the drives. If `pickenv.wrappers.CompensationWrapper` has installed a compensator, the compensator corrects
+    the target first.
 
     ## Observation Space
 
-    `Box(float32)`, 18 numbers, or 21 with `feedback="camera"`. Only the camera's offset in it depends on the true arm.
-    Positions and attitudes are in the base frame.
+    `Box(float32)`, 18 numbers, or 21 with `feedback="camera"`. Of these numbers, only the camera's offset depends on
+    the true arm. Positions and attitudes are in the base frame.
 
     | Num   | Observation                                                          | Min  | Max  | Unit |
     |-------|----------------------------------------------------------------------|------|------|------|
@@ -118,7 +118,8 @@ class ReachEnv(ArmEnv):
 
     ## Rewards
 
-    With e the distance between true tool and fruit in mm and t the angle between true and wanted attitude in degrees:
+    Let e be the distance between true tool and fruit in mm, and t the angle between true and wanted attitude in
+    degrees.
 
     - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region (e above `tolerance_mm`, or t above
       `angle_tolerance_deg`), 1.30 (the cost at both default tolerances) is subtracted as well, so that every failure
@@ -134,10 +135,10 @@ class ReachEnv(ArmEnv):
     cold and not yet sunk into the ground, or as it is after `hours_on`. `reset(options=...)` takes
 
     - `"start_joints"` (rad and m);
-    - the goal as one of `"goal_joints"` (rad and m), `"goal_position"` (x, y, z in m; the attitude is the arm's own
-      there, within `max_tilt_deg`) and `"goal_pose"` (x, y, z and a rotation vector, m and rad; the part of the
-      rotation that the arm cannot reach counts as `noncompensable_deg`), in the base frame;
-    - where `arms` is not "fixed", `"arm"`, the index of the arm in the population, from 0.
+    - the goal as one of `"goal_joints"` (rad and m), `"goal_position"` (x, y, z in m; the attitude is the one with
+      which the arm gets there, within `max_tilt_deg`) and `"goal_pose"` (x, y, z and a rotation vector, m and rad; the
+      part of the rotation that the arm cannot reach counts as `noncompensable_deg`), in the base frame;
+    - if `arms` is not "fixed", `"arm"`, the index of the arm in the population, from 0.
 
     Every random number is a hash of the seed and the episode's index (`pickenv.envs.shared.backends`). A reset without
     a seed begins the next episode of the last seed. An environment gives the same episodes alone, in a `SyncVectorEnv`
@@ -204,7 +205,7 @@ class ReachEnv(ArmEnv):
       to it.
     - `latency` (whole periods, 0 to 20, default 0): how late readings of joints and camera arrive.
     - `action_delay` (whole periods, 0 to 20, default 0): how late actions take effect.
-    - `joint_noise` (mrad of joints that turn, mm of those that slide; 0 to 100, default 0): standard deviation of each
+    - `joint_noise` (mrad of joints that turn, mm of slides; 0 to 100, default 0): standard deviation of each
       joint reading.
     - `hours_on` (h, 0 to 1000, default 0): how long the arm has been switched on, at rest, when an episode begins.
     - `start_spread` (0 to 1, default 0): share of each joint's range, about mid-range, from which starts are drawn.
@@ -217,7 +218,7 @@ class ReachEnv(ArmEnv):
     - `split` ("train" or "test"): which of the difficulty's two disjoint populations of arms is used.
     - `executor` ("auto", "compiled", "floats" or "numpy"): how steps are computed. "compiled" uses machine code, which
       needs llvmlite of the extra `pickenv[compiled]`. "floats" uses Python's floats, with the same results up to
-      rounding (1e-12). "auto" (default) is "compiled" where llvmlite is installed, `arms` is "fixed" and the plant has
+      rounding (1e-12). "auto" (default) is "compiled" if llvmlite is installed, `arms` is "fixed" and the plant has
       no effects from other packages, else "floats". "numpy" gives the same bits as the native vector environment on
       NumPy.
     - `render_mode` (None, "human" or "rgb_array").
@@ -291,7 +292,7 @@ class ReachEnv(ArmEnv):
         return draw_reach(self.task, scene, self.dark)
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
-        """Return the observation and the reward for what ``scene`` says is measured and true now.
+        """Return the observation and the reward from ``scene``, which has all that is measured and true now.
 
         Subclasses with other observations override this method.
         """
@@ -380,7 +381,7 @@ class ReachIdealEnv(ReachEnv):
 
     ```
 
-    Those of `pickenv/Reach-v0`. `plant` may only be "ideal:ARM", and there are no populations.
+    The arguments of `pickenv/Reach-v0`. But `plant` may only be "ideal" or "ideal:ARM", and there are no populations.
 
     ## Version History
 
@@ -408,7 +409,7 @@ class ReachGoalEnv(ReachEnv):
 
     ## Description
 
-    Arm, fruit and plant (the true arm with its errors) are those of `pickenv/Reach-v0`; observation and reward differ.
+    Arm, fruit and plant (the true arm with its errors) are as in `pickenv/Reach-v0`; observation and reward differ.
     The reward is computed from what a controller can measure, so that a goal can be exchanged afterwards. It compares
     the tool's position and attitude, as the chosen feedback measures them, with the fruit as the camera saw it and the
     wanted attitude. The errors of the true tool are in `info`.
@@ -450,8 +451,9 @@ class ReachGoalEnv(ReachEnv):
 
     ## Rewards
 
-    `compute_reward(achieved_goal, desired_goal, info)` computes them for single goals or batches, and ignores `info`.
-    With e the distance between achieved and desired goal in mm and t the angle between their attitudes in degrees:
+    `compute_reward(achieved_goal, desired_goal, info)` computes rewards for single goals or batches, and ignores
+    `info`. Let e be the distance between achieved and desired goal in mm, and t the angle between their attitudes in
+    degrees.
 
     - sparse (default): 0 while e is within `tolerance_mm` and t within `angle_tolerance_deg`, else -1.
     - dense: as in `pickenv/Reach-v0`.
@@ -478,7 +480,7 @@ class ReachGoalEnv(ReachEnv):
 
     ```
 
-    Those of `pickenv/Reach-v0`; `reward` is "sparse" by default.
+    The arguments of `pickenv/Reach-v0`; `reward` is "sparse" by default.
 
     ## Version History
 

@@ -22,7 +22,7 @@ class ReachScaledEnv(ReachEnv):
 
     ## Description
 
-    Arm, plant (the true arm with its errors), fruit, reward, information and arguments are those of `pickenv/Reach-v0`.
+    Arm, plant (the true arm with its errors), fruit, reward, information and arguments are as in `pickenv/Reach-v0`.
     The gap is the fruit's pose minus the tool's pose. A network that reads the gap in metres hardly notices
     millimetres, and the noise of its exploration hides them: PPO stays at some 20 mm in `pickenv/Reach-v0`. Here the
     network sees the gap by direction and logarithm, and its actions shrink with the gap. It then becomes so accurate
@@ -31,12 +31,12 @@ class ReachScaledEnv(ReachEnv):
     ## Action Space
 
     `Box(-1, 1, (6,), float32)`: joint increments as in `pickenv/Reach-v0`, multiplied by the size of the gap (see
-    below) where this size is below one.
+    below) if this size is below one.
 
     ## Observation Space
 
-    `Box(float32)`, 13 numbers. The size of the gap is the larger of two ratios: its position over 100 mm and its
-    attitude over 0.2 rad. It is at least 1e-6.
+    `Box(float32)`, 13 numbers. The size of the gap is the larger of two ratios: the gap's position over 100 mm and
+    the gap's attitude over 0.2 rad. The size is at least 1e-6.
 
     | Num   | Observation                                                         | Min | Max | Unit         |
     |-------|---------------------------------------------------------------------|-----|-----|--------------|
@@ -70,7 +70,7 @@ class ReachScaledEnv(ReachEnv):
 
     ```
 
-    Those of `pickenv/Reach-v0`.
+    The arguments of `pickenv/Reach-v0`.
 
     ## Version History
 
@@ -132,14 +132,14 @@ class ReachToolEnv(ReachScaledEnv):
 
     ## Description
 
-    Plant (the true arm with its errors), fruit, information and score are those of `pickenv/Reach-v0`. But an action is
+    Plant (the true arm with its errors), fruit, information and score are as in `pickenv/Reach-v0`. But an action is
     a motion of the tool, which the nominal arm's Jacobian turns into joint increments. Observations and actions are the
     same for every arm, so that a policy trained on one arm can act on another.
 
     ## Action Space
 
-    `Box(-1, 1, (6,), float32)`: increments of the believed tool per period, in the base frame, in which the gap is
-    given too. Where the size of the gap (see below) is below one, they are multiplied by it. Then an action equal to
+    `Box(-1, 1, (6,), float32)`: increments of the believed tool per period. Increments and gap are in the base frame.
+    If the size of the gap (see below) is below one, the increments are multiplied by this size. Then an action equal to
     the gap in the observation closes the gap.
 
     | Num | Action                         | Control Min | Control Max | Largest increment | Unit |
@@ -147,14 +147,15 @@ class ReachToolEnv(ReachScaledEnv):
     | 0-2 | tool along x, y, z             | -1          | 1           | 25                | mm   |
     | 3-5 | tool about x, y, z             | -1          | 1           | 10                | deg  |
 
-    With `actions="position"` there are only the first three, for arms of three joints and more. Damped least squares
-    with the nominal Jacobian turn them into joint increments (Wampler 1986). Where a joint would exceed its largest
-    increment, all joints are slowed by one factor. Joints stay within their limits.
+    With `actions="position"` an action has only the first three numbers, for arms of three joints and more. Damped
+    least squares with the nominal Jacobian turn an action into joint increments (Wampler 1986). If a joint would exceed
+    its largest increment, all joints are slowed by one factor. Joints stay within their limits.
 
     ## Observation Space
 
-    `Box(float32)`, 7 numbers. The size of the gap is the larger of two ratios: its position over 25 mm and its attitude
-    over 10 deg. It is at least 1e-6. With `actions="position"` there are 4 numbers, without those of the attitude.
+    `Box(float32)`, 7 numbers. The size of the gap is the larger of two ratios: the gap's position over 25 mm and the
+    gap's attitude over 10 deg. The size is at least 1e-6. With `actions="position"` there are 4 numbers, because the
+    attitude is left out.
 
     | Num | Observation                                                         | Min | Max | Unit         |
     |-----|---------------------------------------------------------------------|-----|-----|--------------|
@@ -193,7 +194,7 @@ class ReachToolEnv(ReachScaledEnv):
 
     ```
 
-    Those of `pickenv/Reach-v0`, and
+    The arguments of `pickenv/Reach-v0`, and
 
     - `actions` ("pose" or "position"): whether an action moves the tool in position and attitude, or in position alone.
     - `tool_step_mm` (float, default 25) and `tool_turn_deg` (float, default 10): the largest increments per period.

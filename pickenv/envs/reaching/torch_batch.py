@@ -182,7 +182,7 @@ class TorchBatch(Batch):
         return [*memory, *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
 
     def _outcome(self, out: Columns, fruit: Columns) -> Views:
-        """Make `Views` from the columns of `_shown`, without those of the state, and from the fruit's position."""
+        """Make `Views` from the fruit's position and the columns of `_shown`, without the columns of the state."""
         parts = []
         for width in self.widths():
             parts.append(self._pack(out[:width], torch.float32))

@@ -41,8 +41,8 @@ class ReachVectorEnv(NativeVectorEnv):
     | "Disabled"             | refused until `reset` has been called     | returned by the step that ended it          |
 
     `reset(options={"reset_mask": mask})` begins episodes where the mask is True; the other environments continue. The
-    other options are those of `pickenv/Reach-v0`. Each has one value for all environments or one value for each, for
-    example ``(6,)`` or ``(N, 6)``. Infos are dicts of arrays with a mask ``_key`` for every key.
+    other options are the options of `pickenv/Reach-v0`. Each has one value for all environments or one value for each,
+    for example ``(6,)`` or ``(N, 6)``. Infos are dicts of arrays with a mask ``_key`` for every key.
 
     Args:
         num_envs: N.

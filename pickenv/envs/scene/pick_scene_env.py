@@ -63,11 +63,11 @@ class PickSceneEnv(ReachEnv):
 
     ## Description
 
-    `pickenv/Reach-v0` in MuJoCo, with contact and pictures. An arm with a suction cup stands before a branch; the
+    `pickenv/Reach-v0` in MuJoCo, with contact and pictures. An arm with a suction cup stands at a branch; the
     fruit's stem breaks when it is pulled hard enough. The policy commands the *nominal* arm, that is the model that its
     controller believes in. But the *true* arm moves, touches the fruit and carries the wrist camera. Its parts, joint
-    zeros, compliance, backlash and warm-up are those of the plant (the model of the true arm). Delays and noise are
-    those of `pickenv/Reach-v0`. With an ideal plant the states equal those of the plain MuJoCo model, to the bit.
+    zeros, compliance, backlash and warm-up are as in the plant (the model of the true arm). Delays and noise are
+    as in `pickenv/Reach-v0`. With an ideal plant the states equal those of the plain MuJoCo model, to the bit.
     Contacts, their forces and the success of picks are simulated, and hold for this cup and this branch only.
 
     The arm is drawn as rods from the arm file, or comes from a manufacturer's MJCF file (`model`). Of the arm, only the
@@ -92,7 +92,7 @@ class PickSceneEnv(ReachEnv):
 
     The camera "world" does not move in an episode and shows all places of fruit. The camera "wrist" is fixed to the
     tool and looks at the tool's tip, at full scale from 0.2 m back along the tool's axis. Pictures need EGL or OSMesa
-    where there is no screen.
+    if there is no screen.
 
     ## Rewards
 
@@ -106,7 +106,8 @@ class PickSceneEnv(ReachEnv):
     direction. The tool then starts where the wrist camera sees the fruit. At full scale it is 6 to 30 cm short of the
     fruit along its axis, and up to 12.5 cm beside the fruit along each other axis. If you give another goal, give
     `start_joints` too. Arms of fewer than six joints start there in any attitude that they reach. The strength of the
-    stem is drawn as in `pickenv/Pick-v0` (Bu et al. 2020). The branch is that of `pickenv/orchard/presets/branch.toml`.
+    stem is drawn as in `pickenv/Pick-v0` (Bu et al. 2020). The branch is described in
+    `pickenv/orchard/presets/branch.toml`.
 
     ## Episode End
 
@@ -115,7 +116,7 @@ class PickSceneEnv(ReachEnv):
 
     ## Information
 
-    That of `pickenv/Reach-v0`, with distances to the fruit's present position, and
+    As in `pickenv/Reach-v0`, with distances to the fruit's present position. Further entries:
 
     | Key                | Meaning                                                                      | Unit |
     |--------------------|------------------------------------------------------------------------------|------|
@@ -137,8 +138,8 @@ class PickSceneEnv(ReachEnv):
 
     ```
 
-    Those of `pickenv/Reach-v0`. But `executor` is always "floats", and success is a picked fruit. So there is no
-    `reward`, `tolerance_mm`, `angle_tolerance_deg` or `end_on_success`. Further arguments:
+    The arguments of `pickenv/Reach-v0`. But `executor` is always "floats", and success is a picked fruit. So there is
+    no `reward`, `tolerance_mm`, `angle_tolerance_deg` or `end_on_success`. Further arguments:
 
     - `plant` (default "ideal:ur5e"), `control_period_s` (default 0.04).
     - `error_mm` (default None): mean error of the tool over the joints' ranges. The errors of the true arm's parts are
@@ -265,7 +266,7 @@ class PickSceneEnv(ReachEnv):
         return self._pair[1]
 
     def _before_fruit(self, within: float) -> tuple[Array, Array]:
-        """Draw the joints that `_placed` returns, and which it explains."""
+        """Draw the joints that `_placed` returns; `_placed` explains them."""
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
         how: dict[str, Any] = {"restarts": 0, "position_only": geometry.joints < 6}

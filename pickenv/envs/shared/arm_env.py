@@ -107,7 +107,7 @@ def drawn(stage: Stage | None) -> Pixels:
 Information = dict[str, Any]
 Options = dict[str, Any] | None
 EXECUTORS = {"auto": FLOATS, "floats": FLOATS, "compiled": FLOATS, "numpy": NUMPY}
-"""Arithmetic for each value of the argument `executor`. Where steps are compiled, episodes still begin on floats."""
+"""Arithmetic for each value of the argument `executor`. If steps are compiled, episodes still begin on floats."""
 
 
 class ArmEnv(DrawnEnv):

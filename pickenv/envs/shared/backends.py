@@ -42,7 +42,7 @@ class Executor:
         unit: Uniform number in [0, 1) from the upper 53 bits of a word.
         word: The 64-bit word of a Python integer, modulo 2^64.
         spares_constants: Whether factors and summands that are always 0 or 1 (`pickenv.envs.shared.task.Exact`) are
-            skipped. That pays off where every operation runs on a whole array.
+            skipped. That pays off if every operation runs on a whole array.
     """
 
     name: str

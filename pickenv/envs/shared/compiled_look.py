@@ -54,7 +54,7 @@ class LatestCompiled:
 class CompiledLook:
     """Machine code of `simulation.look`, or of a function with the same arguments, for one arm and one period.
 
-    Results equal those of the function up to rounding.
+    Results equal the function's own results up to rounding.
 
     Args:
         look: The function to compile.

@@ -48,11 +48,11 @@ EYES: dict[str, dict[str, Any]] = {
 (`pickenv/orchard/presets/sight.toml`).
 
 Pick draws detections and errors from the tables in that file. Reach has one standard deviation for all axes, the root
-mean square over the axes. Its fruit noise is that of fruit among leaves, located by Li's detector from 1.0 to 1.4 m
-(table li2016-li2016; 4.4 mm across, 4.0 up, 9.2 in depth). Its camera noise is for a camera on the tool, from which no
-leaf hides the fruit. So this is the noise of fruit without leaves, located by circles (table li2016_bare-circles; 0.4,
-0.4 and 2.7 mm). All these numbers are simulated; a real camera had an RMSE of 6 mm and a bias of 17 mm (Neupane et al.
-2021)."""
+mean square over the axes. The fruit noise of Reach comes from fruit among leaves that Li's detector located from 1.0 to
+1.4 m away (table li2016-li2016; 4.4 mm across, 4.0 up, 9.2 in depth). The camera noise of Reach is for a camera on the
+tool, from which no leaf hides the fruit. So it comes from fruit without leaves that the circle detector located (table
+li2016_bare-circles; 0.4, 0.4 and 2.7 mm). All these numbers are simulated; a real camera had an RMSE of 6 mm and a bias
+of 17 mm (Neupane et al. 2021)."""
 
 SPLITS = ("train", "test")
 """Names of a difficulty's two populations of arms: one to train on, another to test on."""
@@ -61,7 +61,7 @@ POPULATION = {"train": 256, "test": 64}
 
 
 def on_ladder(task: str, *, difficulty: str | None = None, split: str = "train", **arguments: Any) -> dict[str, Any]:
-    """Return an environment's arguments together with those that a difficulty fixes.
+    """Return an environment's arguments together with the arguments that a difficulty fixes.
 
     Args:
         task: "Reach" or "Pick".

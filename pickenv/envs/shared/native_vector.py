@@ -79,12 +79,12 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         return np.array(self.task.increment)
 
     def reset(self, *, seed: Seeds = None, options: Options = None) -> tuple[Any, Information]:
-        """Begin episodes in all environments, or in those where ``options["reset_mask"]`` is True.
+        """Begin episodes in all environments, or in the environments for which ``options["reset_mask"]`` is True.
 
         Args:
             seed: Environment i (from 0) gets ``seed + i``, or entry i of a sequence. With None, an environment
                 continues its own stream of random numbers.
-            options: Options by name: those named in the attribute `options`, and "reset_mask".
+            options: Values of options, by the names in the attribute `options` and "reset_mask".
 
         Returns:
             The observations and the infos.
@@ -106,7 +106,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
 
         Raises:
             InputError: If actions have another shape or invalid numbers, if `reset` was never called, or if an ended
-                episode was not reset where the autoreset mode requires it.
+                episode was not reset although the autoreset mode requires it.
         """
         values, over, live = self._checked(actions), self._over, np.ones(self.num_envs, dtype=np.bool_)
         if not self._begun:
@@ -176,7 +176,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         The environments that are not marked begin new episodes afterwards.
 
         Returns:
-            The rewards of all environments, zero in those that are not live.
+            The rewards of all environments, zero in environments that are not live.
         """
 
     @abstractmethod

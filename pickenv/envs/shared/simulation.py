@@ -63,7 +63,7 @@ class ArmState(NamedTuple):
     def of(cls, columns: Scalars, widths: Sequence[int]) -> ArmState:
         """Return the state whose numbers are ``columns``; ``widths`` has the count of numbers in each attribute.
 
-        Counts after the sixth are those of the parts of `plant`.
+        The counts after the sixth are the counts of numbers in the parts of `plant`.
         """
         parts = [tuple(columns[end - width : end]) for end, width in zip(accumulate(widths), widths, strict=True)]
         target, goal, sighting, drawn, sent, late, *memory = parts
@@ -96,7 +96,7 @@ class View(NamedTuple):
         fruit: True fruit position, 3.
         error: The tool's true pose relative to the fruit: m and rotation vector, 6.
         numbers: Four sizes of the error in the order of `NUMBER_KEYS`: a distance, mm, then three angles, deg. The
-            angles are the whole one, the part of it that no joint motion removes, and the part that joints can remove.
+            angles are the whole angle, its part that no joint motion removes, and its part that joints can remove.
         success: Whether the fruit is inside the capture region.
     """
 
@@ -329,7 +329,7 @@ def sensed(
 ) -> tuple[Scalars, Components]:
     """Return the readings that arrive now, and the delayed readings that are still pending, latest first.
 
-    Readings are those of the joints, with the encoders' noise, and of the camera. At the start of an episode, where
+    Readings come from the joints, with the encoders' noise, and from the camera. At the start of an episode, where
     ``dt`` is the plain number 0.0, all pending readings equal the first one.
 
     Args:
@@ -413,9 +413,10 @@ def flat_observation(scene: View) -> Components:
 def goal_observation(scene: View) -> tuple[Components, Components, Components]:
     """Return the numbers of observation, achieved goal and desired goal.
 
-    Goals are `GOAL_NUMBERS` long: a position, and an attitude by its z and x axes. The achieved goal is the tool as the
-    chosen feedback measures it, in the believed attitude. Its position is the believed one, or with a camera the fruit
-    as seen minus the camera's offset. The desired goal is the fruit as the camera saw it, in the wanted attitude.
+    A goal has `GOAL_NUMBERS` numbers: a position, then the z and x axes of an attitude. The attitude of the achieved
+    goal is the believed tool's. Its position is the believed tool position; with camera feedback it is the fruit
+    position as seen minus the offset that the camera measures. The desired goal has the fruit position as the camera
+    saw it, and the wanted attitude.
     """
     place = scene.believed
     if scene.camera:

@@ -183,9 +183,9 @@ def in_period(x: Executor, setting: Situation, drawn: Components, action: Scalar
 def late(
     x: Executor, setting: Situation, name: str, drawn: Components, past: Components, fresh: Scalars
 ) -> tuple[Scalars, Components]:
-    """Delay an action or a reading: return the one that takes effect or arrives now, and those still pending.
+    """Delay an action or a reading: return the value that takes effect or arrives now, and the pending values.
 
-    Pending values are in one tuple, latest first.
+    Pending values have not taken effect or arrived yet; they are in one tuple, latest first.
 
     Args:
         x: The executor.

@@ -205,8 +205,8 @@ class Rescaling(ABC):
         features: Count of numbers that the policy sees.
         space: Space of the observations that the policy sees.
         answers: Space of the policy's actions; None if it is the environment's action space.
-        home: Part of an error message: the things that must be those of the policy's training, such as "the feedback
-            and the arm".
+        home: Part of an error message: what must be the same as in the policy's training, such as "the feedback and
+            the arm".
     """
 
     inputs: Any
@@ -277,7 +277,7 @@ class Scaling(Rescaling):
         actions: Whether actions shrink with the gap; if not, only the observation changes.
         near: Position gap below which actions shrink in proportion to it, m.
         near_turn: Attitude gap below which actions shrink in proportion to it, rad.
-        tool: Count of the numbers of an action that moves the tool: 6, or 3 without attitude. It is 0 where actions
+        tool: Count of the numbers of an action that moves the tool: 6, or 3 without attitude. It is 0 if actions
             move joints. A network that moves the tool does not see the joints.
     """
 

@@ -180,7 +180,7 @@ class Task:
         situation: Delays, noise and start of episodes.
         box: Lower and upper bounds of the joints at which episodes start and goals are drawn, rad or m.
         tool: Largest increments of the tool's position and attitude in one action, m and rad, or of its position alone;
-            empty where actions move joints.
+            empty if actions move joints.
         gripper: Count of the gripper's numbers, which follow the arm's numbers in an action.
     """
 
