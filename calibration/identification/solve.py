@@ -211,8 +211,9 @@ def covariance_at(found: Identification, data: Observations, share: float) -> Ar
     names, arm_names = found.identifiability.names, found.arm_model.parameter_names
     columns = np.hstack([by_own, by_arm[:, [arm_names.index(name) for name in names[by_own.shape[1] :]]]])
     rows = columns / found.scatter if found.noise is None else found.noise.whiten(columns)
-    rows, kept = rows[:, found.identifiability.kept], found.identifiability.kept
-    precision = rows.T @ rows / share + np.diag(found.prior_std[kept] ** -2.0)
+    independent = found.identifiability.kept
+    rows = rows[:, independent]
+    precision = rows.T @ rows / share + np.diag(found.prior_std[independent] ** -2.0)
     size = np.diag(precision) ** -0.5
     return np.asarray(np.linalg.inv(precision * np.outer(size, size)) * np.outer(size, size))
 

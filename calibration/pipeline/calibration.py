@@ -460,13 +460,13 @@ class Calibration:
             learnt = learnt.faster() if fast else learnt
         anything = self.model.terms or learnt is not None
         residual = partial(remainder, self.model, learnt, conditions or Conditions()) if anything else None
-        known = uncertainty_from(self.record) is not None
+        stated = uncertainty_from(self.record) is not None
 
         def bounds(commands: Array) -> Sizes:
             repeated = None if conditions is None else conditions.repeated(commands.shape[:-1] or (1,))
             return self.uncertainty(commands, repeated)[1]
 
-        evidence = self.reservations(), bounds if known else None, self.caution, self.arm
+        evidence = self.reservations(), bounds if stated else None, self.caution, self.arm
         return Compensator(self.nominal, self.identified, residual, iterations, single_precision, *evidence)
 
     def uncertainty(self, joints: ArrayLike, conditions: Conditions | None = None) -> tuple[Sizes, Sizes]:
@@ -486,10 +486,10 @@ class Calibration:
         if self.learnt is None or WITHOUT_RESIDUAL not in self.record:
             return sizes
         inside = measured_there(self.record, self.model, joints.reshape(-1, joints.shape[-1]), conditions)
-        there = np.reshape(True if inside is None else inside, joints.shape[:-1])
+        measured = np.reshape(True if inside is None else inside, joints.shape[:-1])
         without = self.without_residual().uncertainty(joints, conditions)
         (position, attitude), within = (
-            [None if a is None or b is None else np.where(there, a, b) for a, b in zip(*pair, strict=True)]
+            [None if a is None or b is None else np.where(measured, a, b) for a, b in zip(*pair, strict=True)]
             for pair in zip(sizes, without, strict=True)
         )
         return (position, attitude), (within[0], within[1])

@@ -403,22 +403,22 @@ def pose_uncertainties(
         train: The rows that it was fitted to.
         test: The held-out rows.
     """
-    found, after, rows = fit.identification, list(held_out.errors.values())[-1], test.rows_of_misses
+    solution, after, rows = fit.identification, list(held_out.errors.values())[-1], test.rows_of_misses
     of = partial(
         PoseUncertainty.of,
         joints=test.joints[rows],
         blocks=held_out.blocks,
         conditions=test.conditions.select(rows),
         unit=train.miss_unit,
-        variance=None if fit.calibration.arm.tree is None else variance_by_station(found, test)[rows],
+        variance=None if fit.calibration.arm.tree is None else variance_by_station(solution, test)[rows],
     )
     if fit.calibration.learnt is None:
-        return of(found, after), None
-    beside, share = found, (position_rms(after) / position_rms(held_out.parametric)) ** 2
-    if np.isfinite(found.covariance).all():
-        beside = replace(found, covariance=covariance_at(found, train, float(np.clip(share, 1e-9, 1.0))))
+        return of(solution, after), None
+    beside, share = solution, (position_rms(after) / position_rms(held_out.parametric)) ** 2
+    if np.isfinite(solution.covariance).all():
+        beside = replace(solution, covariance=covariance_at(solution, train, float(np.clip(share, 1e-9, 1.0))))
     growth = _growth(after[:, :3], held_out.blocks), _growth(after[:, 3:], held_out.blocks)
-    return replace(of(beside, after), growth=growth), of(found, held_out.parametric)
+    return replace(of(beside, after), growth=growth), of(solution, held_out.parametric)
 
 
 def _growth(errors: Array, blocks: Rows | None) -> float:
