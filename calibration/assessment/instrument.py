@@ -37,9 +37,10 @@ DRAWS = 400
 """Number of random bases and tools from which the interval of a `BaseFrameError` is computed."""
 
 SCALES = (0.2, 1.0)
-"""Smallest and largest standard deviation, mm and mrad per axis, of the true base and tool from the controller's.
+"""Smallest and largest standard deviation by which the true base and tool differ from the controller's.
 
-Each draw takes a standard deviation between the two. Its logarithm is uniformly distributed.
+They are in mm and mrad per axis. Each draw takes a standard deviation between the two. Its logarithm is uniformly
+distributed.
 """
 
 NEAR = 0.05

@@ -345,7 +345,10 @@ def _jacobian(
 def _displaced(
     arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array
 ) -> tuple[ArmModel, list[Array]]:
-    """Return the arm and each data set's unknowns after ``change`` ``(own + P,)``: unknowns first, then parameters."""
+    """Return the arm and each data set's unknowns after a change.
+
+    ``change`` ``(own + P,)`` has the changes of the unknowns, then of the parameters.
+    """
     *steps, ours = np.split(change, np.cumsum([len(values) for values in unknowns]))
     delta = np.zeros(len(arm.parameter_names))
     delta[model.columns] = ours

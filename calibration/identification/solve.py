@@ -33,7 +33,7 @@ from pickenv.calibration.model.noise_and_priors import LENGTHS, MADE, PriorModel
 from pickenv.calibration.model.observations import Observations, equally_spaced
 
 PASSES = 4
-"""Largest number of solutions; each weighs rows and priors by the residuals of the previous one."""
+"""Largest number of successive solutions; each weighs rows and priors by the residuals of the previous solution."""
 
 MANY, FEW = 4000, 1500
 """If there are more than `MANY` rows, noise and prior widths are first estimated on `FEW` equally spaced rows."""

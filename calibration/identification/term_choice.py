@@ -377,7 +377,7 @@ NAMES = ("compliance", "bending", "gravity", "periodic", "thermal")
 
 TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]
 """Result of `choose_terms`: names of the chosen terms (some of `NAMES` joined by "+", or "none"), RMS misses, and the
-terms. The RMS misses are cross-validated, m, one for each combination tried, by its names."""
+terms. There is one cross-validated RMS miss, m, for each combination of terms that was tried; the key is its names."""
 
 
 def identify_terms(

@@ -201,7 +201,7 @@ class SocketObservations(Observations):
     The places are unknown. Known spacings of some pairs of sockets add equations.
 
     Attributes:
-        joints: ``(N, n)``, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         socket: Number of the place in which the tool point rests in each pose ``(N,)``, from 0.
         pairs: Numbers, from 0, of the sockets of each pair of known spacing ``(M, 2)``; without a pair the scale of
             the arm is unobservable.
@@ -322,7 +322,7 @@ class DistanceObservations(Observations):
     An uncertainty is 0 if the number is exact, and infinite if the number is unknown.
 
     Attributes:
-        joints: ``(N, n)``, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         length: Readings ``(N,)``, m.
         std: Standard uncertainty of a reading, m.
         surface: What the distance is measured from: a draw wire's anchor or a sphere's centre ("point"), or a plane
@@ -429,7 +429,7 @@ class ReflectorObservations(Observations):
     """Measured positions of k reflectors that are fixed to the tool; in some poses only some of them are seen.
 
     Attributes:
-        joints: ``(N, n)``, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         points: Measured positions ``(N, k, 3)``, m, in the instrument's frame; values of reflectors not seen are
             ignored.
         seen: Whether each reflector was seen ``(N, k)``.
@@ -539,7 +539,7 @@ class TiltObservations(Observations):
     """Components of the direction of gravity along K axes fixed to the tool.
 
     Attributes:
-        joints: ``(N, n)``, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         components: Cosine of the angle between down and each axis ``(N, K)``, K from 1 to 3.
         std: Standard uncertainty of each component ``(N, K)``, rad.
         axes_std: Standard uncertainty of a component of an axis: 0 if the axes are x, y and z of the tool, infinite if

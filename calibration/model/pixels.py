@@ -150,7 +150,7 @@ class PixelObservations(Observations):
     """V views of a board with K corners, or of any K points at fixed places on one target.
 
     Attributes:
-        joints: ``(V, n)``, rad or m.
+        joints: Joints ``(V, n)``, rad or m.
         corners: Pixel at which each corner was found ``(V, K, 2)``, px; values of corners not found are ignored.
         seen: Whether each corner was found ``(V, K)``.
         board: Positions of the corners or points ``(K, 3)``, m, in the frame of the board or target.

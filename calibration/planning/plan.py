@@ -234,7 +234,7 @@ class PosePlan:
     """A plan: poses to measure, in order, with the errors to expect.
 
     Attributes:
-        joints: ``(n_poses, n)``, rad or m, in measuring order.
+        joints: Joints of the poses ``(n_poses, n)``, rad or m, in measuring order.
         chosen: Indices, from 0, of these poses among the candidates.
         design: The candidates.
         criterion: "d-optimal" or "test-poses".
