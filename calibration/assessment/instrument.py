@@ -37,9 +37,10 @@ DRAWS = 400
 """Number of random bases and tools from which the interval of a `BaseFrameError` is computed."""
 
 SCALES = (0.2, 1.0)
-"""Smallest and largest standard deviation, mm and mrad per axis, of the true base and tool about the controller's.
+"""Smallest and largest standard deviation by which the true base and tool differ from the controller's.
 
-Each draw takes a standard deviation between the two; its logarithm is uniformly distributed.
+They are in mm and mrad per axis. Each draw takes a standard deviation between the two. Its logarithm is uniformly
+distributed.
 """
 
 NEAR = 0.05
@@ -380,9 +381,9 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
 
 
 def _step(values: Array, misses: Array) -> tuple[float, float, float]:
-    """Return the largest share of squared errors that a step explains, the joint's value at the step, and its size, m.
+    """Return the largest share of squared errors that a step explains, the joint value there, and the step's height, m.
 
-    Above and below a step, the mean errors differ.
+    A step is a joint value above which the mean error differs from the mean error below. Its height is the difference.
 
     Args:
         values: Values of one joint ``(N,)``, rad or m.

@@ -30,7 +30,7 @@ SIGNIFICANCE = 0.05
 """Significance level of the tests."""
 
 SAME = 1e-9
-"""Range of the rows' gains (reductions of the error), as a share of the largest, up to which all count as equal."""
+"""Range of the gains (reductions of the error), as a share of the largest gain, up to which they count as equal."""
 
 ALIKE = 1.2
 """Ratio of two errors below which they count as equal."""
@@ -43,7 +43,8 @@ MANY_NOISES = 20.0
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
 ENOUGH, SEVERAL = 3, 10
-"""Smallest numbers of held-out rows: `ENOUGH` to judge a calibration, `SEVERAL` to confirm a gain of all rows."""
+"""Smallest numbers of held-out rows: `ENOUGH` to judge a calibration, `SEVERAL` to accept a gain that only all rows
+together show."""
 
 Grade = Literal["good", "with care", "do not use"]
 
@@ -378,15 +379,15 @@ def grade_quality(
         found: The identification.
         trained: Errors on the fitted rows without a learnt residual: ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
         before: Held-out errors of the nominal arm: ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad. Unless base and
-            tool are known, those of the nominal arm were fitted first. None if there is no nominal arm, because tool
-            poses were given in place of joint values.
+            tool are known, the nominal arm's base and tool were fitted first. None if there is no nominal arm, because
+            tool poses were given in place of joint values.
         after: Held-out errors of the calibrated arm, in the shape of ``before``.
         workspace: Expected errors where rows were measured and where the arm will work.
         geometric: The identification of the geometry alone, from which observability is computed; ``found`` if None.
         parametric: Held-out errors without a learnt residual, to be compared with ``trained``; ``after`` if None.
         noise: Words for the instrument's noise in sentences.
-        blocks: For each held-out error, an integer that is the same for all errors of one block of rows, or of one row
-            ``(M,)``. It is needed if these errors are correlated; None if all errors are independent.
+        blocks: Integer of each held-out error ``(M,)``, equal for all errors of one block of rows, or of one row.
+            Errors with equal integers count as correlated. None if all errors are independent.
         said: Further findings, each a weight and a sentence.
         unit: The unit in which errors are shown: "mm", or "deg" if the errors are angles in rad.
         rows: Number of held-out rows, and the word for them in sentences. If None, the number of errors and "rows".
@@ -429,7 +430,7 @@ def grade_quality(
 
 
 def _rms(errors: Array, unit: str) -> float:
-    """Return the RMS norm, in ``unit`` ("mm" or "deg"), of errors ``(M, k)``, m or rad; three columns count at most."""
+    """Return the RMS norm, in ``unit`` ("mm" or "deg"), of errors ``(M, k)``, m or rad; at most three columns count."""
     return float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) * MISS_UNITS[unit]
 
 
@@ -508,7 +509,7 @@ def _cautions(
 ) -> Iterator[str]:
     """Yield sentences of weight "caution" on the workspace, large held-out errors, and too few equations.
 
-    ``trained`` are the errors on fitted rows, ``after`` those on held-out rows, both without a learnt residual.
+    ``trained`` are the errors on fitted rows, ``after`` the errors on held-out rows, both without a learnt residual.
     """
     if workspace is not None and workspace.reservation is not None:
         yield workspace.reservation

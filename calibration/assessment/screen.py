@@ -1,8 +1,8 @@
 """Error statistics with confidence intervals, and results formatted for people: four significant digits, units, tables.
 
 The statistics are mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile, maximum and held-out R^2.
-Both mean and RMS are printed, because an "RMSE" in a paper need not be the RMS of the norm: an "RMSE" that is smaller
-than the mean is not.
+Both mean and RMS are printed, because an "RMSE" in a paper need not be the RMS of the norm. An "RMSE" below
+the mean cannot be the RMS of the norm.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class ErrorStatistics:
 
     Attributes:
         mean: Mean norm.
-        mean_ci95: 95 % interval of the mean, from single errors or from blocks of them, and not below 0; None if these
-            are too few.
+        mean_ci95: 95 % interval of the mean, not below 0, from single errors or from blocks of errors. None if there
+            are too few errors or blocks.
         rms: Root mean square of the norm.
         rms_ci95: 95 % interval of the root mean square, from blocks; None without blocks, with too few blocks, or if
             blocks differ by more than `MOST_APART`.
@@ -144,10 +144,10 @@ NARROW = 10
 
 LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "plane_offset", "zero")
 NUMBERS_OF_KINDS = ("scale", "normal", "axis", "down")
-"""Name prefixes of unknowns without a unit, that is directions and scales.
+"""Name prefixes of directions and scales, unknowns without a unit.
 
-The unknowns are those that a kind of measurement adds to the arm's parameters. `LENGTHS_OF_KINDS` has the prefixes of
-unknowns that are lengths.
+A kind of measurement adds such unknowns to the arm's parameters. `LENGTHS_OF_KINDS` has the prefixes of unknowns that
+are lengths.
 """
 
 
@@ -199,7 +199,7 @@ class Block:
         return "\n".join(folded(self.title + (f": {self.note}" if self.note else ""), width) + self._lines(width))
 
     def _lines(self, width: int) -> list[str]:
-        """Return the lines of header and cells, at most ``width`` characters wide if words can be broken so."""
+        """Return the lines of header and cells, at most ``width`` characters wide if words can be broken to fit."""
         columns = list(zip(*self.rows, strict=True))
         heads = self.header or ("",) * len(columns)
         numeric = [bool(self.header) and is_number(cells[0]) for cells in columns]
@@ -380,6 +380,6 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
 
 
 def _quantile(ratio: Array) -> float:
-    """Return the 95 % conformal quantile of n ratios: the one of rank 0.95 (n + 1), rounded up, but n at most."""
+    """Return the 95 % conformal quantile of n ratios: the ratio of rank 0.95 (n + 1), rounded up, and at most n."""
     rank = int(np.ceil(SHARE * (len(ratio) + 1)))
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])

@@ -308,7 +308,8 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
 FEW_MARKERS = 4
 """Largest number of markers, in a picture without corners, for the message that too little of the board is seen.
 
-If the picture shows more markers, or one that the board does not have, the message is that they are of another board.
+If the picture shows more markers, or a marker that the board does not have, the message says that they are of another
+board.
 """
 
 WINDOW = 5
@@ -370,7 +371,7 @@ def find_tags(dictionary: str, numbers: Sequence[int], picture: Grey, where: str
 
 
 def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
-    """Return arrays of all corners of a board, or points of another target, from those that a picture shows.
+    """Return arrays over all corners of a board, or points of another target, from the corners that a picture shows.
 
     Args:
         count: Number of corners on the board.

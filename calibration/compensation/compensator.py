@@ -1,4 +1,4 @@
-"""Correct joint targets for a calibrated arm, by Qiao 2026 eqs (13)-(16) and Fig. 3 with a rank-aware inverse.
+"""Correct joint targets for a calibrated arm by Qiao 2026, eqs (13)-(16) and Fig. 3, with a rank-aware inverse.
 
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints. J+ is truncated to
 the task's rank, since the paper's J^-1 does not exist for an arm of fewer than six joints. Joint limits are kept. An
@@ -120,8 +120,8 @@ class TruncatedSolver:
 
         Args:
             right: The right-hand sides, six components ``(...)``.
-            columns: Columns of a J that has changed a little since it was factorised. If solve steps with the old
-                factors are repeated, they converge to the point where the changed J^T maps the remaining error to zero.
+            columns: Columns of a J that has changed a little since it was factorised. Repeated solve steps with the old
+                factors then converge to the point where the changed J^T maps the remaining error to zero.
         """
         projected = [_dot(column, right) for column in columns or self.columns]
         solution = _without(self._direction, self._solve(_without(self._direction, projected)))
@@ -250,7 +250,7 @@ Residual = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Compensator:
-    """Map from joint targets of the nominal arm to joint commands that bring the real arm to the same poses.
+    """Map from joint targets to joint commands that bring the real arm to the poses of the nominal arm at the targets.
 
     Attributes:
         nominal: The geometry that the controller uses.
@@ -266,7 +266,7 @@ class Compensator:
         within95: Function of commands ``(..., n)`` that returns the bounds on 95 of 100 position errors, m, and
             attitude errors, rad, as counted on held-out rows; None if they are unknown.
         caution: The cautions of the calibration's verdict; None if there are none.
-        arm: The arm's nominal geometry as its file gives it; None if it is ``nominal``, except for base and tool.
+        arm: The arm's nominal geometry as its file gives it; None if it equals ``nominal``, except for base and tool.
     """
 
     nominal: Geometry
@@ -360,7 +360,7 @@ class Compensator:
         return np.asarray(np.clip(rows + correction, self.nominal.lower, self.nominal.upper))
 
     def _within_limits(self, m: ModuleType, joints: Sequence[Scalar]) -> list[Scalar]:
-        """Return joints clipped to their limits, since a command may be a target beyond the limits."""
+        """Return joints clipped to their limits, since a command can be an uncorrected target beyond the limits."""
         limits = zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
         return [clipped(m, q, *limit) for q, limit in zip(joints, limits, strict=True)]
 
@@ -452,7 +452,7 @@ def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) 
 
 
 def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
-    """Return ``other`` for each pose, but ``one`` where the error of ``other`` is larger by `NEGLIGIBLE` or more."""
+    """Return, for each pose, ``other``, or ``one`` if the error of ``other`` is larger by `NEGLIGIBLE` or more."""
     if one is None:
         return other
     nearer = other[1] < one[1] + NEGLIGIBLE

@@ -5,9 +5,9 @@ i. All these frames are taken at the zero of the file's joints. K_i = N_i^-1 D_i
 is C_i K_i. The joint's new origin is C_i K_i relative to the corrected frame of the previous joint. The chain begins at
 the robot's own base, so the instrument's place is no part of it. If the next axis is parallel, no measurement
 determines the place of a link along its axis, and a fit may put it anywhere. The link then keeps its place in the file,
-as in Universal Robots' own calibration (ur_calibration, correctAxis). A motion of the last joint shifts or turns the
-tool along or about the joint's axis. That part of the tool's correction is therefore given to the joint, unless the
-tool was fitted and is the instrument's. Metres and radians.
+as in Universal Robots' own calibration (ur_calibration, correctAxis). A motion of the last joint shifts the
+tool along the joint's axis or turns it about this axis. That part of the tool's correction is given to the joint,
+unless the tool was fitted and is the instrument's. Metres and radians.
 """
 
 from __future__ import annotations
@@ -181,9 +181,10 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
     """Yield candidate roots, which make the first axes of both chains equal.
 
     The first candidate is the identity, if it makes them equal. The second is the best fit of all axes. The other ones
-    put the first axis of the table on that of the file. They leave a shift along the axis, which the first later axis
-    that is not parallel fixes, and a turn about it, which the second axis fixes. If the arm begins with a prismatic
-    joint, only the first two candidates are tried; with these, joints have equal readings in both chains.
+    put the first axis of the table on that of the file. They leave open a shift along this axis and a turn about it.
+    The first later axis that is not parallel fixes the shift. The second axis fixes the turn. If the arm begins
+    with a prismatic joint, only the first two candidates are tried; with these, joints have equal readings in both
+    chains.
 
     Args:
         mine: The axes of the arm's DH table.
@@ -210,9 +211,9 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
 def _height(axes: list[_Axis]) -> float:
     """Compute the position along the first axis, m from the axis's point, at which the chain leaves this axis.
 
-    The position is the foot of the common normal of two axes: the last one parallel to the first axis, and the next
-    one. It does not depend on joint values. It is 0 if all axes are parallel, or if the first axis that is not parallel
-    is that of a prismatic joint or comes after one.
+    The position is the foot of the common normal of two axes: the last axis that is parallel to the first axis, and the
+    next axis. It does not depend on joint values. It is 0 if all axes are parallel. It is also 0 if the first axis that
+    is not parallel belongs to a prismatic joint or comes after a prismatic joint.
     """
     first = axes[0]
     for last, following in itertools.pairwise(axes):
@@ -229,7 +230,7 @@ def _height(axes: list[_Axis]) -> float:
 def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
     """Fit the root to all axes by least squares, directions first, then positions, at equal joint readings.
 
-    ``mine`` are the axes of the arm's DH table, ``theirs`` those of the file.
+    ``mine`` are the axes of the arm's DH table, ``theirs`` the axes of the file.
     """
     with warnings.catch_warnings():  # parallel axes leave it open; another root is tried then
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
@@ -385,7 +386,7 @@ def _moved_origins(
 
 
 def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
-    """Return whether a link's place along its axis is arbitrary: its joint is revolute and the next axis parallel.
+    """Return whether a link's place along its axis is arbitrary: its joint is revolute, and the next axis is parallel.
 
     Args:
         before: Poses of all links.
@@ -425,7 +426,7 @@ NOTHING = 1e-12
 """Change of an origin, m or rad, up to which its text in the file is not changed."""
 
 COUNTED = 1e-7
-"""Least shift or turn of a joint origin, m or rad, that counts. Priors move origins by less where rows are silent."""
+"""Least shift or turn of a joint origin, m or rad, that counts. Priors alone move origins by less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,7 +514,7 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
-    """Compute an element's new pose in a file, if the fixed elements from the previous joint to it keep their poses.
+    """Compute an element's new pose in a file; fixed elements between it and the previous joint keep their poses.
 
     Args:
         own: The element's pose in the file, relative to its parent element.
@@ -565,7 +566,7 @@ def moved_words(moves: Sequence[tuple[ChainJoint, Pose]], plain: Sequence[tuple[
 
     Args:
         moves: Each joint as the file has it, with its corrected origin.
-        plain: The same for an arm without errors. These origins differ from the file's by its rounding alone.
+        plain: The same for an arm without errors. Its origins differ from the file's by the file's rounding alone.
     """
     pairs = [(joint, old, new) for (joint, new), (_, old) in zip(moves, plain, strict=True)]
     apart_by = {joint.name: apart(old, new) for joint, old, new in pairs}

@@ -1,4 +1,4 @@
-"""Documents that exporters write, with notes on what of a calibration they leave out; and edits of XML as text."""
+"""Documents that exporters write, with notes on parts of a calibration that they leave out; edits of XML as text."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class Order:
 
     Attributes:
         out: The file to write.
-        onto: The robot's own file, of which a corrected copy is written: other entries stay. None for a new file.
-        tip: Name of the link at the tip, if the caller gave it as in "robot.urdf#link"; else None.
+        onto: The robot's own file; a corrected copy of it is written, in which other entries stay. None for a new file.
+        tip: Name of the link at the tip, if the caller named it, as in "robot.urdf#link"; else None.
         arm: The nominal arm, if the caller gave it; else None.
         counts_per_turn: Encoder counts per turn, for tables of offsets.
         sample: Number of arms that are drawn from the calibration's posterior and written beside a new MJCF.
@@ -180,7 +180,8 @@ def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, in
 
     Returns:
         A dictionary and an index. The dictionary holds for each attribute's name three indices in the text: the start
-        of the attribute, and start and end of its value within the quotes. The index is that after the last attribute.
+        of the attribute, and start and end of its value within the quotes. The index is the end of the last
+        attribute.
     """
     after = tag.start + 1 + len(tag.name.encode())
     spans: dict[str, tuple[int, int, int]] = {}

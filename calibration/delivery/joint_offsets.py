@@ -3,8 +3,8 @@
 Controllers and servos often take one number per joint: the error of its reading. Least squares finds the offsets that
 bring the nominal arm nearest to the calibrated one over the region where it was measured. Pose differences in m and in
 rad have equal weight; if only positions were measured, only positions count. The errors that offsets cannot correct are
-stated in mm. If base and tool were fitted, some offsets have the same effect as a shift of base or tool. That part is
-left to base and tool; for a revolute first joint it is the whole offset. SI units.
+stated in mm. If base and tool were fitted, a part of the offsets has the same effect as a motion of base or tool.
+This part is left to base and tool. For a revolute first joint it is the whole offset. SI units.
 """
 
 from __future__ import annotations
@@ -396,9 +396,9 @@ def _parameters(geometry: Geometry) -> dict[str, float]:
 
 
 def _table_rows(geometry: Geometry) -> Iterator[tuple[str, int, str, str]]:
-    """Yield the table's name, row number, joint and parameter of each row of the modified and the standard table.
+    """Yield table name, row number, joint and parameter for each line of the modified and the standard DH table.
 
-    Rows of links are numbered from 1; row 0 of the standard table is the base. Base and tool follow as own tables.
+    Rows of links are numbered from 1; row 0 of the standard table is the base. Base and tool follow as separate tables.
     Parameters are named as in the modified table.
     """
     for table, shift in (("modified", 0), ("standard", 1)):

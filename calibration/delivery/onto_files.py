@@ -92,8 +92,8 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
 def _leading_tables(geometry: Geometry) -> list[int]:
     """Return, for each joint, the index (from 0) of the link whose table in the file represents the joint.
 
-    It is a link that moves exactly as the joint does. If there is none, it is the joint's first link of the joint's
-    kind (revolute or prismatic), which moves by a ratio.
+    This link moves exactly as the joint does. If no link does, it is the first of the joint's links that have the
+    joint's kind (revolute or prismatic). That link moves by a ratio.
     """
     leaders = []
     for joint, leader in enumerate(leading_links(geometry)):
@@ -195,7 +195,7 @@ def _behind_tip(
 
 
 def _joint(tags: list[document.StartTag], name: str) -> int:
-    """Return the index in ``tags`` of the joint with this name that has a child link, unlike those in transmissions."""
+    """Return the index in ``tags`` of the joint with this name that has a child link, unlike transmissions' joints."""
     holders = {tag.parent for tag in tags if tag.name == "child"}
     return next(i for i, tag in enumerate(tags) if i in holders and tag.is_named("joint", name))
 
@@ -288,7 +288,7 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
 
 
 def _new_mjcf(calibration: Calibration, order: document.Order) -> document.Document:
-    """Make new MJCFs with rods as links: the identified arm, and beside it the nominal arm and those of the sample."""
+    """Make new MJCFs with rods as links: the identified arm, the nominal arm beside it, and the arms of the sample."""
     arm = order.arm_of(calibration)
     plant = twin(calibration, arm, geometry_only=True)
     models = [("as calibrated", plant.geometry), ("nominal", arm.nominal)]
@@ -305,9 +305,9 @@ def _new_mjcf(calibration: Calibration, order: document.Order) -> document.Docum
 
 
 def mjcf_files(path: str | Path, sample: int) -> list[Path]:
-    """Return the paths of new MJCFs: that of the identified arm, then the nominal arm, then each arm of a sample.
+    """Return the paths of new MJCFs: for the identified arm, the nominal arm, and then each arm of a sample.
 
-    A path such as "/" or "..", which names no file, is returned unchanged as the only one.
+    A path that names no file, such as "/" or "..", is returned unchanged as the only path.
 
     Args:
         path: Path of the identified arm's file; ``.xml`` is appended if it has no ending.
@@ -340,8 +340,8 @@ def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> d
 def _moved_body(data: bytes, tag: document.StartTag, values: MjcfValues, new: Pose) -> list[document.Edit]:
     """Return the edits of the text ``data`` that give the body or site of ``tag`` the pose ``new``.
 
-    An unchanged position or attitude keeps its text. ``values`` are the file's settings, such as its unit of angles, by
-    which the present pose is read.
+    An unchanged position or attitude keeps its text. ``values`` are the file's settings, such as its unit of angles,
+    which are needed to read the present pose.
     """
     texts = corrected_chain.changed(values.pose(tag.attributes), new, "pos", "quat", _quaternion)
     orientation = next((key for key in ORIENTATIONS if key in tag.attributes), "quat")
@@ -385,7 +385,7 @@ UR_TWISTS = (0.0, math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2)
 
 @register("exporter", "kinematics-yaml")
 def kinematics_yaml_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """Write corrected origins into the robot's own kinematics YAML; its other lines and its hash do not change.
+    """Write corrected origins into the robot's own kinematics YAML; the file's other lines and hash do not change.
 
     ``order`` holds the options of the export. Without the robot's own file, a new one is written for ur_description's
     ``kinematics_params``. This needs a UR whose DH table has the maker's link frames.
@@ -484,8 +484,8 @@ def static_transforms(calibration: Calibration, order: document.Order) -> docume
     """Write a shell script that publishes two transforms in ROS 2: the measurement's frame and the calibrated tool.
 
     The measurement's frame is relative to the root of the robot's own URDF, the tool to the URDF's tip. Without a URDF,
-    they are relative to the arm's base and tool frames, which are then named base_link and tool0. ``order`` holds the
-    options of the export.
+    the two are relative to the arm's base and tool frames, which are then named base_link and tool0. ``order`` holds
+    the options of the export.
 
     Raises:
         InputError: If the URDF is unusable, of another arm or without named frames, or if ROS does not allow a name.

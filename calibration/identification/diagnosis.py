@@ -1,8 +1,8 @@
 """Checks of a data set as a whole: outliers, held-out rows that were trained on, mixed units, rows of another set-up.
 
 No single cell shows these faults. A robust fit, which is always made, identifies the poses that agree with each other.
-If the other poses have a common cause, such as one column in another unit, it is reported. Held-out rows pass the same
-checks. A set-up is one place of the instrument, and one place of its target on the tool.
+If the errors of the other poses have a common cause, such as one column in another unit, the cause is reported.
+Held-out rows pass the same checks. A set-up is one place of the instrument, and one place of its target on the tool.
 """
 
 from __future__ import annotations
@@ -124,10 +124,10 @@ MANY_FAR = 0.05
 """Share of rows that are outliers above which the verdict gives a caution."""
 
 ANOTHER_ARM = 5.0
-"""A station whose median residual is more than this many times that of the others probably measured another arm."""
+"""A station whose median residual is more than this many times the others' median probably measured another arm."""
 
 SIDE, MOVED = 8, 2.5
-"""Least count of rows before and after a move of the instrument, and least ratio of the RMS errors with one base and
+"""Least count of rows before and after a move of the instrument, and least ratio of two RMS errors: with one base, and
 with two."""
 
 FEW = 4
@@ -262,7 +262,7 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
 
 
 def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Said:
-    """Yield a caution for each file of which all rows were left out, or all before or from some row on.
+    """Yield a caution for each file whose rows were all left out, or all before some row, or all from some row on.
 
     Args:
         listed: The rows left out.
@@ -309,7 +309,7 @@ def said_of_stations(found: Identification, data: Observations) -> Said:
 def said_of_moves(found: Identification, data: Observations) -> Said:
     """Yield a caution for each file of poses or positions within which the instrument was moved.
 
-    From some row on, a second base then takes away most of the errors. It takes away half of those of a steady drift.
+    A second base, from some row on, then removes most of the errors. Of the errors of a steady drift it removes half.
     """
     ends = np.cumsum([len(part.rows_of_misses) for part in data.parts])
     misses = np.split(data.misses(found.arm_model, unknowns_of(found, data)), ends[:-1])
@@ -339,7 +339,10 @@ def said_of_moves(found: Identification, data: Observations) -> Said:
 
 
 def _beside_base(sums: Array) -> Array:
-    """Return sums of squares that no base removes; ``sums`` ``(..., 7, 7)`` are of its six columns and the errors."""
+    """Return the error's sums of squares ``(...)`` that no base removes.
+
+    ``sums`` ``(..., 7, 7)`` are the sums of products of seven columns: the base's six derivatives, then the errors.
+    """
     slope = np.linalg.pinv(sums[..., :6, :6], 1e-9, True) @ sums[..., :6, 6:]
     return np.asarray(sums[..., 6, 6] - (sums[..., 6:, :6] @ slope)[..., 0, 0])
 
@@ -347,8 +350,8 @@ def _beside_base(sums: Array) -> Array:
 def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observations, test: Observations) -> str:
     """Return why most held-out rows do not fit: another unit, another place of base or tool, or something else.
 
-    ``found`` is the robust fit to the training rows. ``scales`` are its robust standard deviations by channel ``(C,)``,
-    that is of one instrument's readings in one unit.
+    ``found`` is the robust fit to the training rows. ``scales`` ``(C,)`` are the fit's robust standard deviations by
+    channel; a channel is the readings of one instrument in one unit.
     """
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
     scale, unit_name = MISS_UNITS[test.miss_unit], test.miss_unit

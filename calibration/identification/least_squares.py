@@ -2,7 +2,7 @@
 
 Redundant parameters are detected at the start and left out. The normal equations of eq (11) are replaced by a QR
 solution. A redundant model therefore gives the same geometry as its identifiable subset. The normal equations would
-give one that is wrong by metres.
+give a geometry that is wrong by metres.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class Identification:
         identifiability: Which parameters were identified and which were dropped as redundant, and the kept parameters
             that have the same effects as the dropped ones.
         delta: Identified minus starting values, in the order of ``identifiability.names`` (0 for dropped parameters).
-        covariance: Covariance of the kept parameters, in the order of ``identifiability.kept_names``. It is that of the
-            posterior if they have priors, else from the residual's scatter; NaN if no equations are to spare.
+        covariance: Covariance of the kept parameters, in the order of ``identifiability.kept_names``. It is the
+            posterior's if they have priors, else it comes from the residual's scatter. NaN without spare equations.
         chi_square: Sum of squared whitened residuals.
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
@@ -167,8 +167,8 @@ def identify(
             (`pickenv.calibration.model.noise_and_priors.RowNoise.whiten`). The equations are in the order of the data,
             in stated standard uncertainties.
         rank_tolerance: Threshold below which a parameter is redundant, see `REDUNDANCY_TOLERANCE`.
-        every: Whether every parameter has a prior among the data. Then all are kept. The covariance is that of the
-            posterior, for equations whitened to unit variance.
+        every: Whether every parameter has a prior among the data. Then all are kept. The covariance is the
+            posterior's, for equations whitened to unit variance.
 
     Returns:
         The identification; ``converged`` is False if the last step was not negligible.
@@ -311,10 +311,10 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
 
     Returns:
         Four values for one arm or many ``(...)``. The first is the squared relative offset (Bates and Watts 1981). It
-        is what the whole step would still explain, per parameter and relative to the scatter. Steps in directions that
-        the data hardly determine do not count in it. The second says whether a further step would be negligible. The
-        third says whether the residual did not grow, except by rounding (False for NaN). The fourth says whether the
-        step, if it was undamped and the residual did not grow, led to the minimum.
+        is the part of the residual that the whole step would still explain, per parameter and relative to the scatter.
+        Steps in directions that the data hardly determine do not count in it. The second says whether a further step
+        would be negligible. The third says whether the residual did not grow, except by rounding (False for NaN). The
+        fourth says whether the step, if it was undamped and the residual did not grow, led to the minimum.
     """
     rows, parameters = weighted.shape[-1], step.shape[-1]
     scatter = (weighted**2).sum(-1) / max(rows - parameters, 1)
@@ -345,7 +345,10 @@ def _jacobian(
 def _displaced(
     arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array
 ) -> tuple[ArmModel, list[Array]]:
-    """Return the arm and each data set's unknowns after ``change`` ``(own + P,)``: unknowns first, then parameters."""
+    """Return the arm and each data set's unknowns after a change.
+
+    ``change`` ``(own + P,)`` has the changes of the unknowns, then of the parameters.
+    """
     *steps, ours = np.split(change, np.cumsum([len(values) for values in unknowns]))
     delta = np.zeros(len(arm.parameter_names))
     delta[model.columns] = ours
@@ -443,8 +446,8 @@ class Identifiability:
         names: All parameters, in order.
         kept: Indices, from 0, of the kept parameters, a largest identifiable subset (the base set).
         dropped: The dropped parameters by name. Each has a dictionary of deviations of kept parameters, by name, m or
-            rad, which together have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. It is
-            empty if the dropped parameter has no effect on the measurements.
+            rad. Together they have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. The
+            dictionary is empty if the dropped parameter has no effect on the measurements.
         r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, about 0 for dropped ones (Qiao 2026 eq (9)).
             Divided by its mean it is the paper's ratio phi (eq (10)).
         singular_values: Singular values of the kept parameters' scaled stacked Jacobian, per pose (over sqrt(N)).
@@ -559,9 +562,9 @@ def identifiable_parameters(
 
 
 def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, dict[str, float]]:
-    """Return the longest of the lengths that ``visible`` keeps, with the other lengths' deviations of the same effect.
+    """Return the longest length that ``visible`` keeps, with deviations of the other lengths that have the same effect.
 
-    The form is that of `Identifiability.dropped`; it is empty if ``visible`` keeps no length.
+    The dictionary is like `Identifiability.dropped`. It is empty if ``visible`` keeps no length.
     """
     names = [f"a{i}" for i in range(geometry.links)] + [f"d{i + 1}" for i in range(geometry.links)]
     values = dict(zip(names, [*geometry.a, *geometry.d], strict=True))

@@ -38,16 +38,15 @@ SPAN = 0.1
 """Least spread of positions, m, of which `MISFIT` is a share, so that few and close positions are not refused."""
 
 SUSPECT, BETTER = 0.02, 5.0
-"""Misfit, as `MISFIT`, above which other readings are tried. One must be below it, and better by the factor."""
+"""Misfit, as in `MISFIT`, above which other readings of the data are tried. Data are refused if another reading's
+misfit is below this number and smaller by the factor `BETTER`."""
 
 GOOD = 0.05
 """A fit whose error is below this share of the spread needs no further starts."""
 
 STARTS = 24
-"""Number that sets how many further tools are tried if neither the closed form nor the nominal tool gives a good fit.
-
-A quarter as many are tried, the best of ``8 * STARTS`` random tools.
-"""
+"""If neither the closed form nor the nominal tool gives a good fit, the best ``STARTS / 4`` of ``8 * STARTS`` random
+tools are tried."""
 
 
 @single_threaded()
@@ -83,7 +82,7 @@ def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float
 
 
 def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry]:
-    """Yield starting geometries, which differ in their tool, each with the base that fits best.
+    """Yield starting geometries with different tools, each with the base that fits best.
 
     The nominal tool and the closed-form tool come first, then random tools, drawn with a fixed seed. Within each of
     these two groups, the tool of the smallest error comes first.
@@ -239,9 +238,10 @@ def refuse_another_arm(
 
 
 def _other_reading(arm: Geometry, data: Measurements, known: bool) -> tuple[float, str]:
-    """Return the least misfit (`misfit`, both parts) of another reading of joints or positions, and which in words.
+    """Return the least misfit (`misfit`, sum of both parts) of another reading of the data, and that reading in words.
 
-    ``known`` says whether the arm's base and tool are known; else each reading is judged with rough ones of its own.
+    A reading counts a joint backwards, exchanges two joints, or mirrors the positions. If ``known`` is False, each
+    reading is judged with a rough base and tool that are computed for it.
     """
     data, names = data.select(equally_spaced(len(data), FILE_ROWS)), arm.joint_names
     readings = {f"{name} counted backwards": data.joints * (1.0 - 2.0 * (np.array(names) == name)) for name in names}
@@ -420,7 +420,7 @@ LEAST_ROWS = 8
 
 TRIES, PLAUSIBLE = 12, 10.0
 """Largest number of iterations of the fit that judges a grouping, and largest plausible ratio of misses within one
-set-up. A right grouping needs half as many iterations."""
+set-up. The fit of a right grouping needs half as many iterations."""
 
 ROBUST_ROWS = 2000
 """Largest number of rows of the robust fit, equally spaced; all rows are judged by this fit."""
@@ -438,7 +438,7 @@ def rough_start(nominal: Geometry, data: Observations) -> Geometry:
 
     Args:
         nominal: The nominal geometry.
-        data: The rows; of several stations, the first one's count.
+        data: The rows. Of several stations, the first one counts.
 
     Raises:
         InputError: If the reflector's positions do not fit the arm.
@@ -473,7 +473,7 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
 def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Identification, Sizes]:
     """Identify the geometry from the rows that agree with each other; the result is deterministic.
 
-    If the arm's masses are known, the fitted joints yield under the links' weight. Without this, the rows with the
+    If the arm's masses are known, the fitted joints yield under the links' weight. Otherwise the rows with the
     largest torques would seem to be outliers.
 
     Args:
@@ -625,9 +625,9 @@ def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int)
 
 
 def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp], i: int) -> bool:
-    """Return whether the frames of a file and of the set-up that it joins fit each other's rows almost as their own.
+    """Return whether a file can be of the set-up that it joins, by the misses (`PLAUSIBLE`) under each other's frames.
 
-    It is enough if one fits the other's rows, since a file may hardly determine its frames. The arm is nominal.
+    It is enough if one's frames fit the other's rows, since a file may hardly determine its frames. The arm is nominal.
     ``near`` holds each file's rows and arm from `_near_rows`, by the file's index ``i`` from 0.
     """
 

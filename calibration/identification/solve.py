@@ -33,16 +33,16 @@ from pickenv.calibration.model.noise_and_priors import LENGTHS, MADE, PriorModel
 from pickenv.calibration.model.observations import Observations, equally_spaced
 
 PASSES = 4
-"""Largest number of solutions; each weighs rows and priors by the residuals of the previous one."""
+"""Largest number of successive solutions; each weighs rows and priors by the residuals of the previous solution."""
 
 MANY, FEW = 4000, 1500
-"""With more than `MANY` rows, noise and prior widths are first estimated on `FEW` of them, equally spaced."""
+"""If there are more than `MANY` rows, noise and prior widths are first estimated on `FEW` equally spaced rows."""
 
 SETTLED = 0.1
 """Passes end when neither noise nor scales change by more than this share."""
 
 SPREAD = 3.0
-"""Factor about 1 within which a scale of prior widths lies, before measuring, with a probability of two thirds."""
+"""Factor F: before measuring, a scale of prior widths lies between 1 / F and F with a probability of two thirds."""
 
 NODES = (-2.4, -1.2, 0.0, 1.2, 2.4)
 """Nodes of the grid over the logarithm of each scale, in standard deviations from its mean."""
@@ -64,8 +64,8 @@ def solve(
     """Fit a model's parameters to rows and priors.
 
     Args:
-        model: The parameters with their priors. The solution is averaged over the scales, that is factors on the prior
-            widths of a group of parameters, which the model does not state.
+        model: The parameters with their priors. A scale is the factor on the prior widths of a
+            group of parameters. The solution is averaged over the scales that the model does not state.
         data: The rows. If they involve no known length, priors of lengths are not rescaled, because the smallest arm
             would fit best.
         noise: The scatter of the rows; estimated from them when left out.
@@ -124,7 +124,7 @@ def averaged_over_scales(
     """Average the posterior of the linearised model over the scales of prior widths.
 
     A scale is the factor on the prior widths of a group of parameters, such as all lengths of parts. Scales are weighed
-    by their marginal likelihood and by a prior near 1. With fixed scales the uncertainties would be too small, because
+    by their marginal likelihood and by a prior about 1. With fixed scales the uncertainties would be too small, because
     few rows hardly show how accurately an arm was made.
 
     Args:
@@ -197,10 +197,10 @@ def averaged_over_scales(
 
 
 def covariance_at(found: Identification, data: Observations, share: float) -> Array:
-    """Compute the covariance of the kept parameters if the rows scattered less than they do about the fitted arm.
+    """Compute the covariance of the kept parameters for rows with a smaller scatter about the arm than in the fit.
 
-    It is the covariance beside a learnt residual, which removes what errors have in common. The errors that remain are
-    smaller, and rows then count as independent.
+    It is the covariance beside a learnt residual. The residual removes the part that errors have in common. The errors
+    that remain are smaller, and rows then count as independent.
 
     Args:
         found: The identification.

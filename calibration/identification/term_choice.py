@@ -1,8 +1,8 @@
 """Choice of an arm's parametric terms, by cross-validation over contiguous blocks of the training rows.
 
-Gravity terms (joint deflection under the arm's own weight) and harmonics of the drives need no data sheet. So they can
-be tried on any arm. Compliance can be tried wherever torques were measured. Terms extrapolate, where a learnt residual
-only interpolates. A term that does not reduce the cross-validated error is left out.
+Gravity terms (joint deflection under the arm's own weight) and harmonics of the drives need no data sheet, so they can
+be tried on any arm. Compliance can be tried if torques were measured. Terms extrapolate; a learnt residual only
+interpolates. A term that does not reduce the cross-validated error is left out.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Places = NDArray[np.int64]
 class Linearised:
     """A linear model of the residual of a fitted geometry, with terms that may be added to the geometry.
 
-    Its parameters are first those of the fit (of the geometry, and unknowns of the measurements), then the terms'
+    Its parameters are first the fitted ones (of the geometry, and unknowns of the measurements), then the terms'
     coefficients.
 
     Attributes:
@@ -45,7 +45,7 @@ class Linearised:
         names: Names of the parameters.
         scale: Factor on each parameter's column ``(P,)``, so that coefficients are in units of their tolerances.
         ridge: The priors' addition to the normal equations' diagonal ``(P,)``.
-        pull: The priors' addition to the right-hand side ``(P,)``; it is not zero where fitted parameters differ from
+        pull: The priors' addition to the right-hand side ``(P,)``; it is not zero if fitted parameters differ from
             their priors' means.
         blocks: Contiguous blocks of training rows; each block is held out once.
     """
@@ -183,7 +183,7 @@ STEP, HIGHEST = 0.5, 30.0
 """Step and highest value of the grid of orders, which starts at 1, cycles per turn."""
 
 FINE = 0.1
-"""Step of the finer grid around the chosen orders, from which they are chosen again, cycles per turn."""
+"""Step of the finer grid around the chosen orders, cycles per turn; orders are chosen again from this grid."""
 
 MOST = 40
 """Largest number of harmonics that are chosen."""
@@ -192,8 +192,8 @@ ROWS_EACH = 8
 """Number of rows needed for each harmonic."""
 
 WITHIN = 0.03
-"""The smallest number of harmonics is taken whose error on the held-out blocks is within this share of the least
-error."""
+"""Of all numbers of harmonics, the smallest one is taken whose error on the held-out blocks exceeds the least error by
+at most this share."""
 
 ROUNDS = 3
 """Number of Gauss-Newton steps that refine the orders."""
@@ -292,8 +292,8 @@ def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tu
     """Return column indices of the chosen harmonics, for each block of rows held out and for all blocks together.
 
     For each block held out, harmonics are chosen one after the other on all other blocks, and judged on this block. The
-    number of harmonics is the smallest one whose error is within `WITHIN` of the least error. Indices are empty if no
-    harmonic reduces the error.
+    number of harmonics is the smallest one whose error exceeds the least error by at most the share `WITHIN`. Indices
+    are empty if no harmonic reduces the error.
 
     Args:
         equations: Normal equations of geometry, other terms and every candidate harmonic.
@@ -377,7 +377,7 @@ NAMES = ("compliance", "bending", "gravity", "periodic", "thermal")
 
 TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]
 """Result of `choose_terms`: names of the chosen terms (some of `NAMES` joined by "+", or "none"), RMS misses, and the
-terms. The RMS misses are cross-validated, m, one for each combination tried, by its names."""
+terms. There is one cross-validated RMS miss, m, for each combination of terms that was tried; the key is its names."""
 
 
 def identify_terms(
@@ -398,7 +398,7 @@ def identify_terms(
 
 
 def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> TermChoice:
-    """Choose terms by blocked cross-validation within training rows, which are in the order they were measured.
+    """Choose terms by blocked cross-validation within training rows, which are in the order of measurement.
 
     Terms are tried one after the other in the order of `NAMES`. A term is added only if it cuts the RMS error with the
     terms chosen so far by more than the share `MARGIN`. The order matters: on the measured grid of a WAM arm, harmonics
@@ -498,7 +498,7 @@ class _Trial:
         data: The rows.
         names: Names of the terms.
         equations: Normal equations of geometry and terms by block.
-        counts: Weights of each block's rows ``(N,)``, smaller within a cluster, where errors are alike.
+        counts: Weights of each block's rows ``(N,)``, smaller for rows of a cluster, because their errors are alike.
         harmonics: Results of `chosen_orders`, by the names of the terms taken together.
     """
 
@@ -544,7 +544,7 @@ class _Trial:
         return [np.r_[base, path] for path in paths], np.r_[base, on_all]
 
     def score(self, names: tuple[str, ...]) -> float:
-        """Compute the RMS miss, m, with the named terms over all blocks, each under a fit to the other blocks."""
+        """Compute the RMS miss, m, with the named terms over all blocks; each is predicted by a fit to the others."""
         squares, counts = 0.0, 0.0
         for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
             solution = solved(*self.equations.without(number), places)

@@ -1,8 +1,8 @@
 """The arm model to identify: a geometry, and terms for compliance, weight, periodic drive errors and thermal expansion.
 
-The predicted pose is the forward kinematics F(q), displaced by the sum of each coefficient times its column. The terms
-displace it by millimetres, so a first-order model is exact to micrometres. Every parameter, geometric or not, is one
-column of one Jacobian. SI units.
+The predicted pose is the forward kinematics F(q), displaced by the sum over all coefficients of coefficient times
+column. The terms displace the pose by millimetres, so a first-order model is exact to micrometres. Every parameter,
+geometric or not, is one column of one Jacobian. SI units.
 """
 
 from __future__ import annotations
@@ -256,7 +256,8 @@ def link_model(geometry: Geometry) -> ErrorModel:
 def complete_model(geometry: Geometry) -> ErrorModel:
     """Return a model that is complete for any serial chain.
 
-    It has base and tool pose, the MDH parameters, and Hayati's beta between parallel axes, or where the table has one.
+    It has base and tool pose, the MDH parameters, and Hayati's beta between parallel axes and for joints whose beta the
+    table gives.
     """
     names = geometry.parameter_names
     frames = [name for name in names if name.startswith(("base_", "tool_"))]
@@ -289,7 +290,7 @@ def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
 def _link_names(geometry: Geometry) -> list[str]:
     """Return the names of the MDH parameters in the order alpha, a, d, theta, so that lengths precede joint angles.
 
-    Where an offset d and angles theta are redundant, the earlier one in this order, the offset, is kept. A length
+    If an offset d and angles theta are redundant, the offset is kept, because it is earlier in this order. A length
     expresses a finite deviation exactly, and angles only to first order. The picking arm has such a redundancy:
     d3 = (theta2 - theta1) / a1.
     """
@@ -351,8 +352,8 @@ def pose_carrier() -> Arm:
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
     """Return the parameters to identify for the arm named ``arm``, whose nominal geometry is ``nominal``.
 
-    For the pose carrier (`CARRIER`) they are base and tool pose. For every other arm they are those of `link_model` if
-    base and tool are known (``known_frames``), and otherwise those of `complete_model`.
+    For the pose carrier (`CARRIER`) they are base and tool pose. Every other arm has the parameters of `link_model` if
+    base and tool are known (``known_frames``), else the parameters of `complete_model`.
     """
     if arm == CARRIER:
         return frames_model(nominal)

@@ -107,11 +107,12 @@ def _normal(points: Array) -> Array:
 class _Point:
     """A fixed point that distances are measured from; the base class of all surfaces.
 
-    Every surface is described by K numbers ``values``: those of a point are its coordinates. ``names`` are the numbers'
-    names, and ``tolerances`` their typical deviations ``(K,)``, m or rad. ``gap`` gives the distances ``(N,)``, m, of
-    points ``(N, 3)`` from the surface, with derivatives by the points ``(N, 3)`` and by the numbers ``(N, K)``.
-    ``start`` gives first values of the numbers and of the zero of the readings. ``gauge`` gives G equations that fix
-    what distances leave open, such as the length of a plane's normal: residual ``(G,)`` and derivatives ``(G, K)``.
+    Every surface is described by K numbers ``values``; for a point they are its coordinates. ``names`` are the numbers'
+    names, and ``tolerances`` the numbers' typical deviations ``(K,)``, m or rad. ``gap`` gives the distances ``(N,)``,
+    m, of points ``(N, 3)`` from the surface, with derivatives by the points ``(N, 3)`` and by the numbers ``(N, K)``.
+    ``start`` gives first values of the numbers and of the zero of the readings. ``gauge`` gives G equations for
+    numbers that distances do not determine, such as the length of a plane's normal: residual ``(G,)`` and derivatives
+    ``(G, K)``.
     """
 
     names: tuple[str, ...] = ("anchor_x", "anchor_y", "anchor_z")
@@ -200,9 +201,9 @@ class SocketObservations(Observations):
     The places are unknown. Known spacings of some pairs of sockets add equations.
 
     Attributes:
-        joints: ``(N, n)``, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         socket: Number of the place in which the tool point rests in each pose ``(N,)``, from 0.
-        pairs: Numbers, from 0, of the sockets of each pair of known spacing ``(M, 2)``; without any pair the scale of
+        pairs: Numbers, from 0, of the sockets of each pair of known spacing ``(M, 2)``; without a pair the scale of
             the arm is unobservable.
         spacing: Spacing of each pair ``(M,)``, m.
         std: Standard uncertainty of a coordinate of the tool point in its place, m.
@@ -321,7 +322,7 @@ class DistanceObservations(Observations):
     An uncertainty is 0 if the number is exact, and infinite if the number is unknown.
 
     Attributes:
-        joints: ``(N, n)``, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         length: Readings ``(N,)``, m.
         std: Standard uncertainty of a reading, m.
         surface: What the distance is measured from: a draw wire's anchor or a sphere's centre ("point"), or a plane
@@ -404,7 +405,7 @@ class DistanceObservations(Observations):
         return np.einsum("ni,nip->np", along, by_model), np.hstack([by_own, np.einsum("ni,nij->nj", along, by_tip)])
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """Return the G equations of the surface's numbers: one keeps a plane's normal at length one, a point has none.
+        """Return G equations of the surface's numbers: for a plane, that its normal has length one; for a point none.
 
         A plane's equation is weighted as strongly as all readings together.
 
@@ -428,7 +429,7 @@ class ReflectorObservations(Observations):
     """Measured positions of k reflectors that are fixed to the tool; in some poses only some of them are seen.
 
     Attributes:
-        joints: ``(N, n)``, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         points: Measured positions ``(N, k, 3)``, m, in the instrument's frame; values of reflectors not seen are
             ignored.
         seen: Whether each reflector was seen ``(N, k)``.
@@ -486,7 +487,7 @@ class ReflectorObservations(Observations):
         return int(np.argmax(self.seen.sum(axis=0)))
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """Return the positions of the one reflector that most rows saw, as `Measurements`; they start the fit."""
+        """Return the positions of the reflector that is seen most often, as `Measurements`; they start the fit."""
         rows = self.seen[:, self.clearest]
         seen = self.joints[rows], self.points[rows, self.clearest], None, prismatic
         return Measurements(*seen, source=self.source, conditions=self.conditions.select(rows))
@@ -538,13 +539,13 @@ class TiltObservations(Observations):
     """Components of the direction of gravity along K axes fixed to the tool.
 
     Attributes:
-        joints: ``(N, n)``, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         components: Cosine of the angle between down and each axis ``(N, K)``, K from 1 to 3.
         std: Standard uncertainty of each component ``(N, K)``, rad.
         axes_std: Standard uncertainty of a component of an axis: 0 if the axes are x, y and z of the tool, infinite if
             they are unknown.
         down_std: Standard uncertainty of a component of the down direction: 0 if the arm's world is level, infinite if
-            that is unknown.
+            the direction is unknown.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: File and line of each row; None if the rows come from no file.

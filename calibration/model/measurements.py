@@ -28,7 +28,7 @@ from pickenv.calibration.model.observations import Observations, Origins, Rows, 
 OWN_CONDITIONS = ("temperature_degC", "payload_kg")
 """Columns of pickenv's own CSV format besides those of joints and poses."""
 ROOM_TEMPERATURE = 20.0
-"""Temperature that counts as the reference where none is given, degC."""
+"""Temperature that counts as the reference if none is given, degC."""
 POSITION_STD = 15e-6
 """Standard uncertainty of a position when a file states none, m: a laser tracker at a few metres."""
 
@@ -54,7 +54,7 @@ class Measurements(Observations):
     Attributes:
         joints: Commanded joint displacements ``(N, n)``, rad or m.
         position: Measured tool positions ``(N, 3)``, m, in the instrument's frame.
-        rotation: Measured tool rotations ``(N, 3, 3)``, or None where only positions were measured.
+        rotation: Measured tool rotations ``(N, 3, 3)``, or None if only positions were measured.
         prismatic: Whether each joint is prismatic, which decides the unit of its column.
         position_std: Standard uncertainty of one position coordinate, m.
         attitude_std: Standard uncertainty of one attitude coordinate, rad.

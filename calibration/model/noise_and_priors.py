@@ -2,18 +2,19 @@
 
 A channel is the readings of one instrument in one unit. Its scatter is estimated, whatever uncertainty was stated.
 Errors that a model cannot express are alike at neighbouring joints. Their length scale and share of the variance
-maximise the marginal likelihood of a Gaussian process on the residuals (Rasmussen and Williams 2006, eq 5.8). A number
-n of rows with equal errors carries as much information as one row of variance (1 - share + share n) / n. So rows of a
+maximise the marginal likelihood of a Gaussian process on the residuals (Rasmussen and Williams 2006, eq 5.8). A group
+of n rows with equal errors carries as much information as one row of variance (1 - share + share n) / n. So rows of a
 cluster weigh less than isolated rows, and the common error widens the posterior (a sandwich covariance: White 1982).
 Equations of one picture share the error of its pose; the size of that error is estimated by expectation maximisation
 (Laird and Ware 1982).
 
-A prior is what is known of a parameter before anything was measured: mean, standard deviation, and source. Every
-parameter has one, whose width (standard deviation) limits how far a fit moves it. Lengths and angles of parts have the
-widths of their tolerance class. Base and tool have a width of metres if the places of instrument and target are
-unknown. Coefficients of terms have widths near their tolerances. A parameter that the measurements do not determine
-stays at its prior's mean. The choices of a fit (`FIT_WORDS`) are widths, too. With "offsets", lengths and angles of
-parts have no width. With "full", all parameters have infinite width, as in the papers. SI units.
+A prior is the knowledge of a parameter before anything was measured: mean, standard deviation, and source. Every
+parameter has a prior. The prior's width (standard deviation) limits how far a fit moves the parameter. Lengths and
+angles of parts have the widths of their tolerance class. Base and tool have a width of metres if the places of
+instrument and target are unknown. Coefficients of terms have widths near their tolerances. A parameter that the
+measurements do not determine stays at its prior's mean. The choices of a fit (`FIT_WORDS`) are widths, too. With
+"offsets", lengths and angles of parts have no width. With "full", all parameters have infinite width, as in the papers.
+SI units.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ WORTH = 3.0
 """Log-likelihood ratio above which neighbours count as having like errors."""
 
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
-"""Largest numbers of equally spaced rows: those that length and share are fitted to, and those searched for
+"""Largest numbers of equally spaced rows: of rows for the fit of length and share, and of rows searched for
 neighbours."""
 
 LEAST_SPARE = 0.05
@@ -77,12 +78,12 @@ class RowNoise:
         scatter: Standard deviation of each equation ``(E,)``, larger where rows lie closer together than usual.
         channels: Standard deviation of each channel ``(C,)``, that is of the readings of one instrument in one unit.
         share: Share of the variance that neighbouring rows have in common.
-        length: Distance of joints over which rows have that share in common, rad or m.
+        length: Distance of joints over which rows have this share in common, rad or m.
         common: Factor on variances of rows with the usual number of neighbours, which carry less information than
             independent ones.
-        shared: One entry per row whose m equations share the error of one pose. It has the indices, from 0, of these
-            equations, orthonormal directions of that error in their space ``(m, 6)``, and the share of each direction
-            that whitening removes ``(6,)``.
+        shared: One entry per row whose m equations share the error of one pose. An entry has the indices, from 0, of
+            these equations, orthonormal directions of the shared error in the equations' space ``(m, 6)``, and the
+            share of each direction that whitening removes ``(6,)``.
         pose_std: Standard deviation of that shared error per axis: position, m, and attitude, rad.
     """
 
@@ -168,7 +169,7 @@ def neighbours(joints: Array, length: float) -> Array:
 
 
 def counted(joints: Array) -> Array:
-    """Return the weight of each row ``(N,)``: 1, or less for rows with more neighbours than usual (similar errors)."""
+    """Return the weight of each row ``(N,)``: 1, or less for rows with more neighbours than usual, as in a cluster."""
     like = neighbours(joints, ALIKE)
     return np.asarray(np.minimum(_usual(like, FREE) / like, 1.0))
 
@@ -226,7 +227,7 @@ def _of_pictures(
     scatter: Array,
     sizes: Array,
 ) -> RowNoise:
-    """Estimate the noise of each channel, and the pose error common to a row's equations, of rows with many equations.
+    """Estimate the noise of each channel, and the pose error common to a row's equations, if rows have many equations.
 
     For each of the E equations, ``tool`` has the derivatives with respect to the tool's pose ``(E, 6)``, ``residual``
     the whitened residual, ``rows`` and ``channels`` the indices of row and channel, ``leverage`` the leverage, and
@@ -374,7 +375,7 @@ class PriorModel:
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
         """Return this model with further terms, whose coefficients are expected at zero.
 
-        Factors in ``scales`` that were estimated without the terms are dropped. In such an estimate the rows seem
+        Factors in ``scales`` that were estimated without the terms are dropped. Such an estimate makes the rows seem
         noisier than they are, and the parts more accurate.
         """
         if not terms:
@@ -438,7 +439,7 @@ def never_told(names: Sequence[str], covariance: Array) -> list[str]:
     """Return the names of base and tool parameters that the rows of a fit do not determine.
 
     An example is the tool's attitude if only positions were measured. The posterior of such a parameter is as wide as
-    its prior: metres, or turns. It is narrower where an unknown of the data shares the prior, as a wire's hook does.
+    its prior: metres, or turns. It is narrower if an unknown of the data, such as a wire's hook, shares the prior.
 
     Args:
         names: Names of the identified parameters, p of them.

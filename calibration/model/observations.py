@@ -1,6 +1,6 @@
 """`Observations`, the interface of a data set of any kind; kinds beyond `Measurements` are in `kinds` and `pixels`.
 
-Each kind has unknowns of its own, such as the places of reflectors or sockets, or where a wire is anchored. They are
+Each kind has unknowns of its own, such as the places of reflectors, sockets or a wire's anchor. They are
 identified together with the arm. Equations are divided by their standard uncertainties (whitened), so data sets of any
 kinds can be stacked in one fit. SI units.
 """
@@ -149,8 +149,8 @@ Answer = TypeVar("Answer")
 class Stated:
     """K numbers of an instrument, each known exactly, within a standard uncertainty, or not at all.
 
-    Examples are a wire's zero, a ball bar's length, a socket's place. A number that is not exact is an unknown of the
-    least squares. If its uncertainty is finite, its stated value gives one more equation.
+    Examples are a wire's zero, a ball bar's length and a socket's place. A number that is not exact is an unknown of
+    the least squares. If its uncertainty is finite, its stated value gives one more equation.
 
     Attributes:
         names: Names of the numbers.
@@ -202,9 +202,9 @@ class Stated:
 
 
 def worked_out(question: Callable[[Any], Answer]) -> Answer:
-    """Turn the method ``question`` into a cached property, for an attribute that the base class declares.
+    """Return the method ``question`` as a cached property, for an attribute that the base class declares.
 
-    Type checkers take the result for a plain attribute.
+    To type checkers the property is a plain attribute.
     """
     return cast(Answer, cached_property(question))
 
@@ -214,8 +214,8 @@ class Observations:
 
     A row is what was measured at one joint vector. The defaults here suit most kinds: a split may fall anywhere, and
     each row gives one miss (measured minus predicted readings). A kind defines its misses, and their derivatives with
-    respect to the arm and to the numbers of its instrument. The equations of a data set are first those of the misses,
-    then those of the numbers' stated values, then further ones among the numbers (`bonds`).
+    respect to the arm and to the numbers of its instrument. A data set has equations of its misses, then of the
+    numbers' stated values, then further equations among the numbers (`bonds`).
 
     Attributes:
         joints: Joints ``(N, n)``, rad or m.
@@ -229,8 +229,8 @@ class Observations:
         width: Number of equations of each miss.
         miss_unit: Unit of `misses` on screens: "mm" for metres, "deg" for radians.
         rounding: Largest change of a reading, in m, rad or px, if it is rounded to 0.01 mm or 0.001 deg. An instrument
-            that rounds so is taken to scatter by three times this change. A pose that is measured again then gives the
-            same reading with a probability of 0.2.
+            that rounds in this way is taken to scatter by three times this change. A pose that is measured again then
+            gives the same reading with a probability of 0.2.
         stations: The `InstrumentStation` of each data set, if several are stacked for one fit (`Stacked`); else empty.
     """
 
@@ -395,7 +395,7 @@ class Observations:
 
         The row is -1 if an equation belongs to none. A channel holds readings of one unit and one uncertainty;
         positions and attitudes of poses are two channels. By default all equations are in channel 0. The equations of
-        the misses come first, and then those of the instrument's numbers, which belong to no row.
+        the misses come first. The equations of the instrument's numbers follow; they belong to no row.
         """
         extra = len(self.numbers.jacobian()) + len(self.bonds(self.numbers.values)[0])
         rows = np.concatenate([np.repeat(self.rows_of_misses, self.width), np.full(extra, -1)])
@@ -441,7 +441,7 @@ class Observations:
     def imagined(self, joints: Array) -> Self:
         """Return a data set of the same instrument at other joints ``(M, n)``, rad or m.
 
-        Its readings are placeholders, which repeat those of this data set.
+        Its readings are placeholders, repeated from this data set.
         """
         rows = np.resize(np.arange(len(self.joints)), len(joints))
         alike = replace(self.conditions.select(rows), payload=None, temperature=None, torque=None)
@@ -454,7 +454,7 @@ class Observations:
 
 
 def hash_of(*parts: Array) -> str:
-    """Return one hash over all arrays, rounded to 1e-9 m or rad, so that a copy read from a CSV file has the same."""
+    """Return one hash over all arrays, rounded to 1e-9 m or rad; it is equal for a copy read from a CSV file."""
     integers = [np.rint(part * 1e9).astype(np.int64) for part in parts]
     return hashlib.sha256(b"".join(part.tobytes() for part in integers)).hexdigest()[:16]
 
@@ -498,11 +498,11 @@ BLOCKS = 10
 
 
 SAME_POSE = 2e-4
-"""Largest difference of joints that count as one pose, rad or m. Arms resolve 0.01 deg. A pose that is reached again,
-or written with two decimals, differs by less."""
+"""Largest difference of joints that count as one pose, rad or m. Arms resolve 0.01 deg. Joints of a pose that is
+reached again, or written with two decimals, differ by less."""
 
 PATH = 10 * SAME_POSE
-"""A chain of near rows that extends over more than this, rad or m, is a path that was followed slowly, and not a
+"""Extent of a chain of near rows, rad or m, above which the chain is a path that was followed slowly, and not a
 pose."""
 
 
@@ -568,8 +568,8 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
 def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
     """Draw the training rows and the held-out rows of one data set.
 
-    Every socket and every station has held-out rows and training rows. Rows of one pose are all held out or all trained
-    on, also if several stations measured that pose.
+    Every socket and every station has held-out rows and training rows. Either all rows of a pose are held out or all
+    are trained on, also if several stations measured this pose.
 
     Args:
         observations: The data.
@@ -642,7 +642,7 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
         groups: Group of each row ``(N,)``, such as its socket or station.
         poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
         folds: Number of folds. If the largest group has fewer poses, there are only as many folds as it has poses, so
-            that none is empty. If every group has one pose, all count as one group.
+            that no fold is empty. If every group has one pose, all count as one group.
 
     Returns:
         Indices, from 0, of the training rows and of the held-out rows, for each fold.

@@ -1,10 +1,10 @@
 """Pixels of a target's points, in pictures of a camera that is on the arm's tool or watches a target on the tool.
 
 A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is the
-target's if the camera is on the tool, and the camera's if it watches a target on the tool. Of camera and target, one is
-fixed in the world, and the other is on the flange. The fitted base gives the pose of the fixed one, and the fitted tool
-the pose of the one on the flange. The only unknowns of this kind are the numbers of the lens, if they are fitted. SI
-units; pictures in px.
+target's frame if the camera is on the tool. It is the camera's frame if the camera watches a target on the tool. Of
+camera and target, one is fixed in the world, and the other is on the flange. The fitted base gives the pose of the
+fixed object, and the fitted tool the pose of the object on the flange. The only unknowns of this kind are the numbers
+of the lens, if they are fitted. SI units; pictures in px.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class PixelObservations(Observations):
     """V views of a board with K corners, or of any K points at fixed places on one target.
 
     Attributes:
-        joints: ``(V, n)``, rad or m.
+        joints: Joints ``(V, n)``, rad or m.
         corners: Pixel at which each corner was found ``(V, K, 2)``, px; values of corners not found are ignored.
         seen: Whether each corner was found ``(V, K)``.
         board: Positions of the corners or points ``(K, 3)``, m, in the frame of the board or target.
@@ -163,7 +163,7 @@ class PixelObservations(Observations):
         source: Where the data come from.
         origins: Picture or file and line of each view; None if the views come from no file.
         remarks: Why a view shows no corner ``(V,)``, empty if it shows some; None if no reasons are known.
-        pictures: Path of each view's picture ``(V,)``; None where corners came without pictures.
+        pictures: Path of each view's picture ``(V,)``; None if corners came without pictures.
     """
 
     joints: Array
@@ -282,7 +282,7 @@ class PixelObservations(Observations):
         return np.asarray((self.corners - projected(values, self.in_camera(model)))[self.seen])
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Return measured minus predicted places of the corners found, as lengths at their distance ``(R, 2)``, m."""
+        """Return the pixel errors of the corners found, as lengths at the corners' distance ``(R, 2)``, m."""
         return np.asarray(self._errors(model, numbers) * self.in_camera(model)[self.seen][:, 2:] / numbers[:2])
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
@@ -322,15 +322,14 @@ LEAST_SPREAD = 0.05
 """Least spread of a view's corners across the line that fits them best, as a share of the spread along it."""
 
 TRIED, STEPS = 4, 12
-"""Number of starting attitudes that are refined, out of the 24 rotations of a cube, and number of steps of
-refinement."""
+"""Number of starting attitudes that are refined, out of the 24 rotations of a cube, and number of refinement steps."""
 
 
 def board_poses(data: PixelObservations) -> Pose:
     """Return the board's pose in the camera's frame in each view ``(V,)``, fitted to the viewing rays of its points.
 
-    The fit takes Gauss-Newton steps. It starts from the 24 rotations of a cube, each with the position of least
-    distances between points and rays. The steps go on from the best `TRIED` of these starts.
+    The fit takes Gauss-Newton steps. Starts are the 24 rotations of a cube, each with the position of least
+    distances between points and rays. Steps are taken from the best `TRIED` starts.
 
     Args:
         data: Views with at least four corners each, not all in one line.

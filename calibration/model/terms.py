@@ -1,7 +1,7 @@
 """Parametric terms of an arm model: compliance, bending, weight, periodic drive errors and thermal expansion.
 
-Each term describes an effect that a geometry cannot. It gives the tool's displacement per unit of its coefficients, in
-world axes. It is linear in the coefficients, so least squares can fit them. SI units.
+Each term describes an effect that a geometry cannot describe. It gives the tool's displacement per unit of its
+coefficients, in world axes. The displacement is linear in the coefficients, so least squares can fit them. SI units.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class ComplianceTerm(JointTerm):
 
 @dataclass(frozen=True)
 class PeriodicTerm(JointTerm):
-    """Periodic errors of the joints' drives: each harmonic adds s sin(order q) + c cos(order q) to its joint q.
+    """Periodic errors of the joints' drives: each harmonic adds s sin(order q) + c cos(order q) to its joint's value q.
 
     The coefficients are s and c of each harmonic, rad or m.
 
@@ -156,7 +156,8 @@ class ThermalTerm(Term):
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Return the pose displacement per unit of the coefficient ``(N, 6, 1)``, m and rad, world axes.
 
-        It is the sum over all link lengths of the Jacobian's column times the length, times the temperature.
+        For each link length, the length is multiplied by its column of the Jacobian. The displacement is the sum of
+        these products, times the temperature.
 
         Raises:
             InputError: If no temperatures are recorded.
@@ -311,7 +312,7 @@ class BendingTerm(Term):
         up: Direction opposite to gravity, in the axes of frame 0.
         mass: Mass of each link ``(L,)``, kg.
         centre: Centre of mass of each link in its frame ``(L, 3)``, m.
-        pivots: Where each link is joined to its parent: position along the link's axis, from its frame ``(L,)``, m.
+        pivots: Position along each link's axis, from the link's frame, at which it is joined to its parent ``(L,)``, m.
     """
 
     links: tuple[int, ...]

@@ -1,8 +1,8 @@
 """Apply a calibration: turn targets into corrected joint commands, each with its remaining error and uncertainty.
 
 A joint target means the pose that the nominal arm would take there. Pose targets are first turned into nominal joints
-by the inverse kinematics. They are then corrected by Qiao 2026 eqs (13)-(16), with a Jacobian inverse that is
-truncated to the task's rank. A learnt residual model, if there is one, is part of the correction. SI units.
+by the inverse kinematics. The joints are then corrected by Qiao 2026 eqs (13)-(16), with a Jacobian inverse that
+is truncated to the task's rank. A learnt residual model, if there is one, is part of the correction. SI units.
 """
 
 from __future__ import annotations
@@ -261,7 +261,7 @@ def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
 
 
 def _carried(pose: Pose, believed: Geometry, fitted: Geometry) -> Pose:
-    """Return tool poses of the controller's frame as poses of the fitted tool in the instrument's frame.
+    """Transform tool poses in the controller's frame to poses of the fitted tool in the instrument's frame.
 
     Args:
         pose: Poses in the controller's frame.

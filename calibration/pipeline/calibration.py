@@ -56,7 +56,7 @@ ANCHORS = 400
 """Largest number of poses that represent the region in which an arm was measured."""
 
 Sizes = tuple[Array | None, Array | None]
-"""Standard uncertainties, or bounds on errors, of position, m, and attitude, rad, at some poses; None if unknown."""
+"""Standard uncertainties of position, m, and attitude, rad, at some poses, or bounds on errors; None if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +71,9 @@ class PoseUncertainty:
             if only positions were measured.
         factors: For each of `QUANTITIES` with enough held-out errors, the entries "factor" and "covered". 95 of 100
             errors are smaller than "factor" times their expected root mean square. "covered" is the share of held-out
-            errors below their bound. The bound of an error is computed without the block of rows that holds it.
-        growth: Factors on the two repeats in the uncertainty of a pose, since few held-out errors tell them poorly.
+            errors below their bound. The bound of an error is computed without the error's block of rows.
+        growth: Factors on the two repeats in the uncertainty of a pose, because few held-out errors determine the
+            repeats poorly.
     """
 
     names: tuple[str, ...]
@@ -108,7 +109,8 @@ class PoseUncertainty:
     ) -> tuple[Array, Array | None]:
         """Compute the standard uncertainties of position ``(...)``, m, and attitude ``(...)``, rad.
 
-        Each is the root of the sum of its three variances. The attitude's is None if only positions were measured.
+        Each is the root of the sum of its three variances. The attitude's uncertainty is None if only positions were
+        measured.
 
         Args:
             model: The calibrated arm.
@@ -354,13 +356,13 @@ GEOMETRIES = ("arm", "nominal", "identified")
 
 
 def remainder(model: ArmModel, learnt: LearntResidual | None, conditions: Conditions, joints: Array) -> Array:
-    """Predict how far the true pose differs from that of the identified geometry ``(..., 6)``, m and rad.
+    """Predict the difference of the true pose from the identified geometry's pose ``(..., 6)``, m and rad.
 
     The difference is the sum of parametric terms and learnt residual.
 
     Args:
         model: The identified arm with its terms.
-        learnt: Learnt residual, or None. One that was learnt from positions predicts no rotation.
+        learnt: Learnt residual, or None. A residual that was learnt from positions predicts no rotation.
         conditions: Payload and temperature, one value each or one per pose.
         joints: Joints ``(..., n)``, rad or m.
     """
@@ -472,7 +474,8 @@ class Calibration:
     def uncertainty(self, joints: ArrayLike, conditions: Conditions | None = None) -> tuple[Sizes, Sizes]:
         """Compute the standard uncertainties of predicted poses, and the bounds that 95 of 100 errors do not exceed.
 
-        Where the arm was not measured, a learnt residual predicts nothing. There they are those of the arm without it.
+        A learnt residual predicts nothing at poses outside the measured region. There, uncertainties and bounds are
+        those of the arm without the residual.
 
         Args:
             joints: Joints ``(..., n)``, rad or m.
@@ -504,7 +507,7 @@ class Calibration:
     def reservations(self) -> dict[str, str]:
         """Return the reasons against using this calibration, by name; each is a sentence that says what to do.
 
-        There can be two: the verdict "do not use", and a base and tool that were fitted.
+        There can be two: the verdict is "do not use", and base and tool were fitted.
         """
         sentences = {}
         verdict = self.record.get("verdict")

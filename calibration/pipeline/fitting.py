@@ -129,7 +129,7 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
 
 
 def _refuse_unregistered(nominal: Geometry, poses: Measurements, fault: InputError) -> None:
-    """Raise an error that says so if rows that miss the arm with known base and tool fit it with fitted ones."""
+    """Raise an error if rows miss the arm with known base and tool, but fit the arm with fitted base and tool."""
     before = sum(misfit(nominal, poses))
     try:
         after = sum(misfit(align(nominal, poses, frames_model(nominal)).geometry, poses))
@@ -260,7 +260,7 @@ class HeldOut:
         blocks: Index, from 0, of each error's block of rows ``(M,)``; None if rows were held out once.
         pixels: For pictures, errors in px of the fit of geometry alone, one array ``(R, 2)`` per view; else empty.
         row: Index, from 0, of each error's row ``(M,)``, if rows were held out once and have several errors each, such
-            as those of several reflectors or of a board's corners; else None.
+            as one error per reflector or per corner of a board; else None.
     """
 
     errors: dict[str, Array]
@@ -272,7 +272,7 @@ class HeldOut:
 
     @property
     def together(self) -> Rows | None:
-        """Index, from 0, of each error's block or row, whose errors count as correlated ``(M,)``.
+        """Index, from 0, of each error's block or row ``(M,)``; errors of one block or row count as correlated.
 
         None if rows were held out once and each row has one error. Fewer than `LEAST_ROWS` rows with several errors
         each count as one group, for which there is no interval.
@@ -365,10 +365,10 @@ def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Row
 def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
     """Concatenate the held-out errors of all blocks.
 
-    Each block of rows was judged by a model that was chosen without it. These models can differ from block to block in
-    their terms and residual model, and from the model of the calibration. Under the last of the ``names``, the result
-    holds each block's errors by the model that was chosen without the block. Under the names between "geometric" and
-    the last, it holds the errors by the same model without its learnt residual.
+    Each block of rows was judged by a model that was chosen without it. These models can differ in their terms and
+    residual model, from block to block and from the model of the calibration. Under the last of the ``names``, the
+    result holds each block's errors by the model that was chosen without the block. Under the names between "geometric"
+    and the last, it holds the errors by the same model without its learnt residual.
 
     Args:
         names: Names of the models of the calibration of all rows: the geometry alone, then each with one part more.
@@ -390,12 +390,12 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
 def pose_uncertainties(
     fit: Fit, held_out: HeldOut, train: Observations, test: Observations
 ) -> tuple[PoseUncertainty, PoseUncertainty | None]:
-    """Compute the uncertainty of predicted poses, and that without the learnt residual; None if none was learnt.
+    """Compute the uncertainty of predicted poses, and their uncertainty without the learnt residual.
 
-    The covariance of the fit takes for noise all errors that it leaves. A learnt residual removes a part of them, and
-    with it what the parameters err by there. So beside a residual the covariance is that of rows that scatter as
-    held-out errors do with it (`covariance_at`). A few large errors decide how large those of a learnt residual are, so
-    the standard error of their mean square is added to it.
+    The second one is None if no residual was learnt. The covariance of a fit counts all remaining errors as
+    noise. A learnt residual removes a part of these errors, and with it a part of the parameters' error. With a
+    residual, the covariance is therefore computed for rows that scatter no more than held-out errors do
+    (`covariance_at`). The mean square of these errors depends on a few large ones, so its standard error is added.
 
     Args:
         fit: The fit whose calibration is used.
@@ -422,9 +422,10 @@ def pose_uncertainties(
 
 
 def _growth(errors: Array, blocks: Rows | None) -> float:
-    """Return the factor on the RMS of errors ``(M, k)`` that adds its standard error to their mean square.
+    """Return the factor on the RMS of errors ``(M, k)`` that adds to the mean square its standard error.
 
-    ``blocks`` ``(M,)`` has the same integer for errors of one block of rows, which are correlated; None if none are.
+    ``blocks`` ``(M,)`` has the same integer for errors of one block of rows. Such errors are correlated. None if all
+    errors are independent.
     """
     if not errors.any():
         return 1.0
@@ -467,7 +468,7 @@ def tracked_rows(found: Identification, data: Observations) -> Measurements | No
 
 
 def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[str, Any]:
-    """Return reprojection errors as values for JSON: of the fit to all views, and of other fits on held-out views.
+    """Return reprojection errors as values for JSON: on all views by their fit, and on held-out views by other fits.
 
     Args:
         fit: The fit of geometry alone to all views in ``data``.

@@ -30,7 +30,7 @@ def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
     Args:
         arm: The arm.
         rows: Measured poses or positions, in the order in which they were taken. If their frames are not known, base
-            and tool are fitted to the mean of each pose. That makes AP smaller than it is, and leaves RP unchanged.
+            and tool are fitted to the mean of each pose. The fit makes AP smaller than it is, and leaves RP unchanged.
 
     Returns:
         The results as values for JSON, in mm and deg. "poses" holds for each pose its name (P1 is the first in the
@@ -87,7 +87,7 @@ def _placed(arm: Arm, means: Measurements) -> tuple[list[str], Geometry]:
     """Fit base and tool to the mean poses, and return the names of the fitted frames and the geometry with them.
 
     The tool is fitted if the means have at least twice as many coordinates as both frames have parameters. Else it is
-    the arm's own, since five poses of one attitude, as in the standard, do not determine it.
+    the arm's own tool, since five poses of one attitude, as in the standard, do not determine a tool.
 
     Raises:
         InputError: If the means do not fit the arm.
@@ -102,7 +102,7 @@ def _placed(arm: Arm, means: Measurements) -> tuple[list[str], Geometry]:
 
 
 def _without_accuracy(figures: dict[str, Any]) -> dict[str, Any]:
-    """Return the results of a pose (`pose_performance`) and of its drift, with None for those that need the base."""
+    """Return the results of a pose (`pose_performance`) and of its drift, with None for results that need the base."""
 
     def without(part: dict[str, Any]) -> dict[str, Any]:
         return {key: None if key.startswith(("accuracy", "mean_error")) else value for key, value in part.items()}

@@ -107,7 +107,7 @@ class Result:
     def has_nominal(self) -> bool:
         """Whether the arm has a nominal model.
 
-        False if tool poses were given in place of joint values; then only frames are fitted.
+        It has none if tool poses were given in place of joint values. Then only frames are fitted.
         """
         return self.arm.name != CARRIER
 
@@ -192,9 +192,9 @@ class Result:
     def own_mean_ci95(self) -> Ends | None:
         """95 % interval of the arm's own mean error in the instrument's frame, mm; None if there are too few rows.
 
-        The upper end is that of the interval for the mean held-out error. If poses or positions were measured, the
-        instrument's noise is subtracted from the lower end, because a held-out error contains this noise and the arm's
-        own error does not.
+        The upper end is the upper end of the interval for the mean held-out error. If poses or positions were measured,
+        the instrument's noise is subtracted from the lower end, because a held-out error contains this noise and the
+        arm's own error does not.
         """
         if self.best.mean_ci95 is None:
             return None
@@ -391,7 +391,7 @@ class Result:
     def parameters(self) -> list[dict[str, Any]]:
         """Return each fitted parameter: its name, its unit, its change and its standard deviation, in that unit.
 
-        The change is that from the nominal geometry; for an instrument's own unknown it is the value itself.
+        The change is relative to the nominal geometry. For an instrument's own unknown it is the value itself.
         ``prior_std`` is the standard deviation before measuring. ``narrowed`` is the share, 0 to 1, by which the rows
         have narrowed the prior. Both are None if the parameter had no prior.
         """
@@ -412,9 +412,9 @@ class Result:
         return rows
 
     def plain_parameters(self) -> list[dict[str, Any]]:
-        """Return the entries of `parameters` except those that have tables of their own.
+        """Return the entries of `parameters` except those with separate tables.
 
-        Left out are harmonics, compliances, and the frames of further set-ups. Changes of these frames say nothing,
+        Harmonics, compliances, and the frames of further set-ups are left out. Changes of these frames say nothing,
         because their starting values are arbitrary.
         """
         return [row for row in self.parameters() if not re.match(r"periodic|compliance|(base|tool)\d", row["name"])]

@@ -60,15 +60,15 @@ class Choices:
             because there are fewer than 40 poses.
         robust: Whether outlier rows are left out. They are listed in either case.
         seed: Seed of all random draws.
-        frames: Whether base and tool are "known" or "fitted". None takes what the data state.
-        learn_from: Poses from which the named residual model learns; it is then always used, as in the paper. None
-            lets it learn from the training rows, and uses it if it improves errors there.
+        frames: Whether base and tool are "known" or "fitted". None takes the choice that the data state.
+        learn_from: Poses from which the named residual model learns; it is then always used, as in the paper. If None,
+            the model learns from the training rows, and is used if it improves errors there.
         settings: Settings of the network "bpnn" that learns from ``learn_from``; None takes the paper's settings.
         fit: One of `pickenv.calibration.model.noise_and_priors.FIT_WORDS`. "auto" fits all parameters with priors.
             "offsets" fits the joint zeros, and base and tool if unknown. "full" fits all parameters without priors, as
             the papers do.
         tolerances: Name or path of the tolerance class that sets the priors of the arm's parts. None takes the arm's
-            own class; for an arm without a class, that of a cobot.
+            own class; for an arm without a class, the class of a cobot.
         prior_scale: Factor on the standard deviations of the parts' priors. None estimates factors from the rows.
         workspace: The region for which the verdict holds (`pickenv.calibration.pipeline.result.workspace_joints`).
             None takes all poses within the joint limits.
@@ -473,9 +473,9 @@ def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
 def _judged_by_blocks(draft: Draft) -> Result:
     """Calibrate with all rows, and judge each block of rows by a calibration that is made from the other blocks alone.
 
-    Terms are chosen anew without each block. A choice of residual models for each block would take too long, so they
-    are chosen only twice, on the odd and on the even blocks. Each block takes the choice made without it. ``draft`` has
-    all rows for training and has gone through no stage.
+    Terms are chosen anew without each block. A choice of residual model for each block would take too long. So the
+    model is chosen only twice, on the odd and on the even blocks. Each block takes the choice that was made without it.
+    ``draft`` has all rows for training and has gone through no stage.
     """
     checked = _check(draft)
     complete = _fitted(checked)
@@ -506,7 +506,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """Return the rows to fit and the rows held out, for each block of `observations.contiguous_folds`.
+    """Return, for each block of `observations.contiguous_folds`, the rows to fit and the rows held out.
 
     There are `observations.BLOCKS` blocks of neighbouring poses. With at most `FEW_VIEWS` pictures or `FEW_ROWS`
     poses, one picture or pose of every group is held out at a time.
@@ -615,7 +615,7 @@ def _add_terms(draft: Draft) -> Draft:
 def _learn(draft: Draft) -> Draft:
     """Return the draft with a fit that has a learnt residual model, if there is one to learn.
 
-    It is the named model, learnt from ``choices.learn_from``, or else a model that wins within the training rows.
+    The model is the named one, learnt from ``choices.learn_from``, or else one that wins within the training rows.
     """
     choices = draft.choices
     if choices.learn_from is not None:
@@ -637,7 +637,7 @@ def _learn(draft: Draft) -> Draft:
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     """Return the draft with a fit that adds the residual model ``kind``, learnt from ``data``.
 
-    ``settings`` are those of the paper's network; None for all other fits (see `fitting.fit_remainder`).
+    ``settings`` are the settings of the paper's network; None for all other fits (see `fitting.fit_remainder`).
     """
     name, best = draft.best
     report = None if draft.progress is None else partial(draft.progress, "training network")
@@ -652,7 +652,7 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tupl
     assert expected is not None
 
     def refit(rows: Measurements) -> ArmModel:
-        """Fit the arm to some of the rows, whose scatter is taken from the fit to all of them."""
+        """Fit the arm to some of the rows; their scatter is taken from the fit to all rows."""
         none, unused = np.zeros(0), np.zeros(rows.rows_per_pose * len(rows))
         return solve(expected, rows, noise_of(rows, fitted, none, unused)).arm_model
 

@@ -2,9 +2,9 @@
 
 Geometry and terms have the posterior covariance of their parameters. Parameters that were dropped as redundant are
 drawn from their tolerances. Errors that no term describes are modelled by a Gaussian process. If the calibration learnt
-a Gaussian process, that one is used. Else one is fitted to the errors that geometry and terms leave on the rows, since
-networks have no posterior. Errors that are no smooth function of the joints are called scatter. The instrument's share
-of the scatter is subtracted, and the rest is attributed to the arm. SI units.
+a Gaussian process, this process is used. Else a process is fitted to the errors that geometry and terms leave on the
+rows, since networks have no posterior. Errors that are no smooth function of the joints are called scatter. The
+instrument's share of the scatter is subtracted, and the rest is attributed to the arm. SI units.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ SCATTER_PARTS = ("position_std", "attitude_std", "source")
 Scatter = tuple[float, float, str]
 """The instrument's share of a measurement's scatter.
 
-It is the standard deviation of a position coordinate, m, that of an attitude coordinate, rad, and the source in words.
+Its values are the standard deviations of a position coordinate, m, and an attitude coordinate, rad, and the source in
+words.
 """
 
 ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrument of which nothing is stated")
@@ -168,11 +169,11 @@ def twin(
 
 
 def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:
-    """Return the indices, from 0, of the geometry's dropped parameters, and how all parameters change with each.
+    """Return the indices, from 0, of the geometry's dropped parameters, and the changes of all parameters with each.
 
     The changes are a matrix with one row for each of ``names``, all parameters of the model, and one column per dropped
-    parameter. In a column, the dropped parameter changes by 1, and those that absorbed it change so that the poses stay
-    equal.
+    parameter. In a column, the dropped parameter changes by 1, and the parameters that absorbed it change so that the
+    poses stay equal.
     """
     parameters = calibration.identified.parameter_names
     dropped: Mapping[str, Mapping[str, float]] = calibration.record.get("dropped", {})
@@ -187,7 +188,7 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 
 def _never_told(calibration: Calibration) -> list[str]:
-    """Return the names of base and tool parameters that a twin does not vary, since the rows do not determine them."""
+    """Return the names of base and tool parameters that the rows do not determine; a twin does not vary them."""
     sure = uncertainty_from(calibration.record)
     return [] if sure is None else never_told(sure.names, sure.covariance)
 

@@ -107,9 +107,10 @@ def restationed(
     standard deviations `CHANGE_STD`. This prior hardly matters in directions that the rows determine. In other
     directions the frames do not change.
 
-    The learnt residual is a function of the joints, so that it stays with the arm, and its axes turn with the base. It
-    is subtracted from the rows before the frames are fitted; else they would take up its mean over these few rows. It
-    is that of the old tool's point: how a learnt rotation moves the point of a new tool is not taken into account.
+    The learnt residual is a function of the joints. It stays with the arm, and its axes turn with the base. The
+    residual is subtracted from the rows before the frames are fitted. Otherwise the frames would absorb its mean over
+    these few rows. The residual is that of the old tool's point; the motion of a new tool's point by a learnt rotation
+    is neglected.
 
     Args:
         calibration: The calibration.
@@ -161,7 +162,7 @@ def restationed(
 
 
 def own_frames_model(geometry: Geometry, own: Collection[str]) -> ErrorModel:
-    """Return an error model whose parameters are those of the base, the tool or both, as ``own`` names them."""
+    """Return an error model with the parameters of the base, the tool or both, as ``own`` names them."""
     frames = frames_model(geometry)
     return frames.some(np.array([name.startswith(tuple(own)) for name in frames.names]))
 
@@ -185,7 +186,8 @@ def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measuremen
 def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int) -> Rows:
     """Return the indices, from 0, of the ``count`` rows that determine the parameters ``frames`` best.
 
-    ``frames`` are those of base, tool or both. Rows are judged by the positions that they predict at all rows.
+    ``frames`` are the parameters of base, tool or both. The best rows give the smallest error of predicted positions
+    at all rows.
     """
     pool = equally_spaced(len(data), CANDIDATES)
     jacobian = model.jacobian(data.joints[pool], data.conditions.select(pool))[..., frames.columns] * frames.tolerance
@@ -264,10 +266,11 @@ ELSEWHERE = 20.0
 """Ratio of the RMS error to the promised one above which another region of the workspace cannot be the cause."""
 
 MOSTLY = 5.0
-"""Factor by which refitting base and tool must shrink errors above `ELSEWHERE`, if moved frames are their cause."""
+"""Least factor by which refitting base and tool shrinks errors above `ELSEWHERE`, if moved frames are their cause."""
 
 ALIKE = 0.75
-"""Ratio of the calibrated to the nominal arm's RMS error at which errors without a known cause mean another arm."""
+"""Least ratio of the calibrated to the nominal arm's RMS error with which errors without a known cause mean another
+arm."""
 
 Status = Literal[
     "still good",
@@ -402,7 +405,7 @@ def verify(
 
     Raises:
         InputError: If the data are not poses or positions, or too few. Also if one frame of a whole robot is named, or
-            if ``refit`` lacks a frame that the calibration's own rows did not tell.
+            if ``refit`` lacks a frame that the calibration's own rows did not determine.
     """
     if calibration.arm.tree is not None:
         if len(refit) == 1:
@@ -457,7 +460,7 @@ def verify(
 
 
 def _untold(calibration: Calibration) -> list[str]:
-    """Return which of "base" and "tool" were fitted to rows that do not tell where they are, such as a wire's."""
+    """Return which of "base" and "tool" were fitted to rows that do not determine them, such as a wire's rows."""
     sure = uncertainty_from(calibration.record)
     if sure is None or calibration.record.get("frames") != "fitted":
         return []
@@ -477,9 +480,9 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 def _since(rest: Rows, errors: Array, expected: Array) -> int | None:
     """Return the index, from 0, of the judged row from which on every block of rows has too large errors.
 
-    None if there is no such row, or if all blocks have too large errors. ``errors`` ``(R, 3 or 6)`` are those of the R
-    judged rows, m and rad; ``expected`` ``(R,)`` are their expected mean square position errors, m^2. Of ``rest``, the
-    rows' indices, only the count matters.
+    None if there is no such row, or if all blocks have too large errors. ``errors`` ``(R, 3 or 6)`` are the errors of
+    the R judged rows, m and rad. ``expected`` ``(R,)`` are the rows' expected mean square position errors, m^2. Only
+    the number of the rows' indices ``rest`` matters.
     """
     if len(rest) < 4 * BLOCKS:
         return None
@@ -529,7 +532,7 @@ def _left(there: Calibration, data: Measurements, errors: Array, model: ErrorMod
     """Compute the RMS position error, m, that remains after some parameters are fitted to the rows.
 
     The result is corrected for the degrees of freedom, and infinite if the fit fails. ``errors`` ``(R, 3 or 6)`` are
-    those of the rows under the calibration ``there``, m and rad; ``model`` has the parameters to fit.
+    the rows' errors under the calibration ``there``, m and rad; ``model`` has the parameters to fit.
     """
     if len(data) < len(model.names):
         return np.inf

@@ -1,8 +1,8 @@
 """Further poses for an instrument that has already measured a few: wires, touches, reflectors, tilts, pictures.
 
 The first rows determine the instrument's own unknowns, such as the anchor of a wire, a touched point, or a camera's
-place and lens. These determine the instrument's readings at other joints, and whether it can read anything there. The
-exchange of poses starts from the information that the first rows give. SI units.
+place and lens. The unknowns determine the instrument's readings at other joints, and whether it can read anything
+there. The exchange of poses starts from the information that the first rows give. SI units.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ WARY = 3.0
 error."""
 
 FOCUS = 1.5
-"""Largest factor by which a board may be farther off than in the farthest first view, or nearer than in the nearest."""
+"""Largest factor by which a board may be farther off than in the farthest first view, or nearer than in the nearest
+first view."""
 
 
 First = tuple[Observations, ArmModel, Array]
@@ -73,9 +74,9 @@ def first_rows(arm: Arm, data: Observations) -> First:
 def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.random.Generator) -> Array:
     """Draw joints within their limits at which the instrument can read something.
 
-    Half of the trials are drawn from the joint ranges. The other half are drawn near joints where the instrument is
-    known to read something, because a board is seen from few poses. These are joints of measured rows, and later also
-    those that were found here.
+    Half of the trials are drawn from the joint ranges. The other half are drawn near joints at which the instrument is
+    known to read something, because a board is seen from few poses. Known joints are those of measured rows, and later
+    also those found here.
 
     Args:
         geometry: The nominal arm.
@@ -105,13 +106,13 @@ def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.rand
 def measurable(
     first: First, joints: Array, geometry: Geometry, *, move: bool = True
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Move joints to where the instrument can read something, and mark those where it can.
+    """Move joints to values at which the instrument can read something, and mark those at which it can.
 
     Args:
         first: The instrument, from `first_rows`.
         joints: Joints to start from ``(N, n)``, rad or m.
         geometry: The nominal arm.
-        move: Whether the joints may be moved; otherwise they are judged where they are, with a tolerance of 1 mm.
+        move: Whether the joints may be moved; otherwise they are judged unmoved, with a tolerance of 1 mm.
 
     Returns:
         The joints ``(N, n)``, rad or m, and a mask ``(N,)`` of those at which the instrument can read something.
@@ -143,10 +144,10 @@ def _misses(first: First, joints: Array) -> Array:
 
 
 def _short_of(first: First, joints: Array) -> Array:
-    """Return how far ``(N, k)``, m, the instrument is from a possible reading at joints ``(N, n)``.
+    """Return the amounts ``(N, k)``, m, by which the instrument misses a possible reading at joints ``(N, n)``.
 
-    For sockets it is the vector from the tool point to its socket. For a distance, such as a wire's length, it is how
-    far the predicted reading lies outside the range of the first readings.
+    For sockets it is the vector from the tool point to its socket. For a length, such as a wire's, it is the amount by
+    which the predicted reading lies outside the range of the first readings.
     """
     data, misses = first[0], _misses(first, joints)
     if not isinstance(data, DistanceObservations):
@@ -212,15 +213,15 @@ def plan_like(
         data: The first rows, of one kind.
         count: Number of poses to measure.
         rng: Draws candidates, the order of exchanges, and the random sets of poses that the plan is compared with.
-        candidates: Joints to choose from ``(N, n)``, rad or m; those at which nothing could be read are left out. Or
+        candidates: Joints to choose from ``(N, n)``, rad or m; those at which nothing can be read are left out. Or
             the number of candidates to draw.
         lines: Line, from 1, of each given candidate in its file ``(N,)``; None if the candidates come from no file.
         criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
             out, "test-poses" if ``test_joints`` are given, else "d-optimal".
         test_joints: Joints at which accuracy matters ``(M, n)``, rad or m; the candidates if left out.
         curve: Whether to predict the error also for half, twice, four and eight times as many poses.
-        prior: The arm's parameters with their priors; poses are then chosen by the information that they add to these
-            and to the first rows.
+        prior: The arm's parameters with their priors; poses are then chosen by the information that they add to the
+            priors and to the first rows.
 
     Raises:
         InputError: If the first rows are of several kinds, too few, or do not fit the arm. Also if there are too few

@@ -2,8 +2,8 @@
 
 The chosen set is D-optimal (largest determinant of the information matrix, and thus the largest observability index
 O1). Or it has the least predicted error at given test poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will
-pick). If parameters have priors, poses are chosen by the information that they add to these. The predicted error is
-then the one that a calibration will state. SI units.
+pick). If parameters have priors, poses are chosen by the information that they add to the priors. The predicted error
+is then the error that a calibration will state. SI units.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
 
 
 def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
-    """Return the tour ``(N,)`` from pose ``start`` that always goes on to the nearest pose not visited yet.
+    """Return the tour ``(N,)`` from pose ``start`` that always continues to the nearest pose not visited yet.
 
     Poses are indices from 0; ``cost`` holds the times between each two poses ``(N, N)``, s.
     """
@@ -164,7 +164,7 @@ def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
 
 
 def _two_opt(way: NDArray[np.int64], cost: Array) -> NDArray[np.int64]:
-    """Return a shorter tour: the stretch whose reversal saves the most time is reversed until none saves any.
+    """Return a shorter tour: while a reversal saves time, the stretch whose reversal saves the most is reversed.
 
     The first and the last pose may change. A tour ``way`` ``(N,)`` holds indices of poses, from 0, in the order of
     visits; ``cost`` ``(N, N)`` holds the times of the moves between each two poses, s.
@@ -215,8 +215,8 @@ class Design:
         kind: "pose" (r = 6), "position" (r = 3), or the kind of an instrument's rows.
         known: Information ``(p, p)`` that exists already, from priors and from rows measured before.
         names: Names of an instrument's own unknowns.
-        framed: Whether base and tool are fitted, with priors; the part of an error that they can absorb then does not
-            count.
+        framed: Whether base and tool are fitted, with priors. The part of an error that base and tool can absorb then
+            does not count.
     """
 
     joints: Array
@@ -234,7 +234,7 @@ class PosePlan:
     """A plan: poses to measure, in order, with the errors to expect.
 
     Attributes:
-        joints: ``(n_poses, n)``, rad or m, in measuring order.
+        joints: Joints of the poses ``(n_poses, n)``, rad or m, in measuring order.
         chosen: Indices, from 0, of these poses among the candidates.
         design: The candidates.
         criterion: "d-optimal" or "test-poses".
@@ -252,8 +252,8 @@ class PosePlan:
         first: Number of rows measured before the plan.
         seconds: Time that the planning took, s.
         lines: Lines, from 1, of the poses in the file of candidates; None if the candidates were drawn.
-        curve: For several numbers of poses: the number, the error to expect from as many planned poses, and from as
-            many random poses, m.
+        curve: For several numbers of poses: the number, the error to expect with this many planned poses, m, and with
+            this many random poses, m.
     """
 
     joints: Array
@@ -353,7 +353,7 @@ class PosePlan:
 def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:
     """Draw candidate joints ``(count, n)``, rad or m: half uniformly from the joint ranges, half on their border.
 
-    The best poses of an optimal design are often on the border, where uniform draws hardly ever are.
+    The best poses of an optimal design are often on the border, but uniform draws hardly ever are.
     """
     room = MARGIN * (geometry.upper - geometry.lower)
     lower, upper = geometry.lower + room, geometry.upper - room
@@ -408,7 +408,7 @@ def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -
 
 
 def criterion_of(criterion: str | None, test_joints: Array | None) -> str:
-    """Return the criterion, one of `CRITERIA`; a criterion of None becomes "test-poses" or "d-optimal".
+    """Return the criterion, one of `CRITERIA`; None becomes "test-poses" or "d-optimal".
 
     Args:
         criterion: The criterion, or None.
@@ -440,17 +440,17 @@ def plan_poses(
     """Choose ``count`` poses to measure, and order them for short travel.
 
     If parameters have priors, the predicted error is that of the posterior, as `pickenv.calibrate` states it. If base
-    and tool are fitted, the part of the error that they can absorb is left out.
+    and tool are fitted, the part of the error that base and tool can absorb is left out.
 
     Args:
         arm: The arm, with joint limits and speeds.
         model: The parameters to identify. If they have priors
             (`pickenv.calibration.model.noise_and_priors.prior_model`), poses are chosen by the information that they
-            add to these, and there may be fewer poses than parameters. Scales of prior widths that are not stated count
-            as 1.
+            add to the priors, and there may be fewer poses than parameters. Scales of prior widths that are not stated
+            count as 1.
         count: Number of poses to measure.
         rng: Draws candidates, the order of exchanges, and the random sets of poses that the plan is compared with.
-        candidates: Joints to choose from ``(N, n)``, rad or m, from which random sets are drawn, too. Or the number of
+        candidates: Joints to choose from ``(N, n)``, rad or m; random sets are drawn from them, too. Or the number of
             candidates to draw (see `candidate_joints`).
         kind: What will be measured, "pose" or "position".
         criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
@@ -528,8 +528,8 @@ def finished_plan(
 ) -> PosePlan:
     """Choose the best poses of a design, order them for short travel, and compare them with random sets.
 
-    If parameters have priors, the poses of most information may have a larger predicted error than random ones. The
-    poses of least predicted error are then chosen instead.
+    If parameters have priors, the poses of most information can have a larger predicted error than random poses. In
+    this case the poses of least predicted error are chosen instead.
 
     Args:
         arm: The arm, with joint speeds.

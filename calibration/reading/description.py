@@ -327,7 +327,7 @@ class RotationTable:
     def checked_unit(self, section: str = "rotation", key: str = "unit") -> str:
         """Return the unit of the angles; for a quaternion it is "rad", which leaves its numbers as they are.
 
-        Messages name the ``section`` that has these columns, and ``key``, its key for the unit.
+        Messages name ``section``, the section that has these columns, and ``key``, the section's key for the unit.
 
         Raises:
             InputError: If there are not 3 or 4 columns, or not those of the convention, if the unit of angles is
@@ -450,8 +450,8 @@ class RecordingTable:
     """Section [recording]: the time column of the instrument's log, and the joint log that the arm wrote meanwhile.
 
     ``joints`` is the path of the joint log, relative to the folder of the instrument's file. In it, {file} stands for
-    the name of the instrument's file without its ending. A log for which ``topic`` or ``joints_topic`` is named is a
-    ROS bag.
+    the name of the instrument's file without its ending. The instrument's log is a ROS bag if ``topic`` is named, the
+    joint log if ``joints_topic`` is.
     """
 
     time: Annotated[str, COLUMN]
@@ -474,8 +474,8 @@ class SceneTable:
     """Section [scene]: names of sensor and target, and the links that carry them on a whole robot (a tree of links).
 
     Files that name the same sensor share one sensor pose. Files that name the same target share one target pose. A
-    sensor or target without a name belongs to this file alone. One without a link is fixed in the world. An
-    inclinometer has no target.
+    sensor or target without a name belongs to this file alone. A sensor or target without a link is fixed in the world.
+    An inclinometer has no target.
 
     ``sensor_column`` and ``target_column`` hold the names row by row. If ``sensor`` is given as well, only the rows of
     this sensor are read; otherwise the rows of each name are a data set. The same holds for targets. ``links`` are the
@@ -675,7 +675,7 @@ def description_path(name: str | Path) -> Path:
 
 
 def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
-    """Refuse a description that gives one column for two quantities, a fault that a fit may not reveal."""
+    """Refuse a description that gives one column for two quantities; a fit may not reveal this fault."""
     roles = [(f"joint {i + 1}", text) for i, text in enumerate(description.joint_columns)]
     sections = {description.kind: description.columns}
     if description.rotation is not None:

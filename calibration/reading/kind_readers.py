@@ -126,7 +126,7 @@ def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
 
 
 def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> None:
-    """Refuse rows that equal another row to the last digit: they would count twice, and leak into held-out rows.
+    """Refuse rows that equal another row to the last digit. They would count twice, and leak into held-out rows.
 
     Args:
         joints: Joints of all rows ``(N, n)``, rad or m.
@@ -187,7 +187,7 @@ def read_joints(table: Table, layout: description.DescriptionFile, where: str, g
 
 
 def refuse_implausible_conditions(table: Table, name: str, values: Array, columns: tuple[str, ...]) -> None:
-    """Refuse temperatures, payloads or torques beyond the limits of `QUANTITIES`, under which no arm works.
+    """Refuse temperatures, payloads or torques beyond the limits of `QUANTITIES`; no arm works beyond them.
 
     Args:
         table: The file.
@@ -335,7 +335,7 @@ def _touches(files: Files, section: description.ContactTable) -> kinds.SocketObs
 
 @register("instrument", "sockets")
 def _sockets(files: Files, section: description.SocketsTable) -> kinds.SocketObservations:
-    """Read contacts with several sockets, and which two sockets are a pair of known spacing.
+    """Read contacts with several sockets, and the pairs of sockets with known spacing.
 
     If a column numbers the sockets, consecutive numbers make a pair. Otherwise each file holds one socket, and the two
     files of a folder make a pair.
@@ -375,7 +375,7 @@ def _rests(files: Files, section: description.ContactTable, socket: Rows, **more
 
 @register("instrument", "tilt")
 def _tilt(files: Files, section: description.TiltTable) -> kinds.TiltObservations:
-    """Read the components of the downward direction along the sensor's axes; for inclinations they are the sines."""
+    """Read the downward direction's components along the sensor's axes; they are the sines of given inclinations."""
     values = np.concatenate([table.values(section.columns) for table in files.tables])
     std = np.full(values.shape, section.std)
     if section.unit != "g":
@@ -412,7 +412,7 @@ def _refuse_one_pose(files: Files, rows: Rows) -> None:
 
 
 def _refuse_other_unit(files: Files, data: kinds.DistanceObservations) -> None:
-    """Refuse lengths of a wire that fit no anchor in the stated unit, but do in the other one (m or mm)."""
+    """Refuse lengths of a wire that fit no anchor in the stated unit, but fit one in the other unit (m or mm)."""
 
     def left(factor: float) -> float:
         read = replace(data, length=data.length * factor, scale_std=0.0, tip_std=0.0)
@@ -623,7 +623,7 @@ def _found_in_table(
 
 
 def _refuse_moved(table: Table, views: Sequence[str], joints: Array) -> None:
-    """Refuse corners of one view at different joints (or finished poses), because they are of several pictures.
+    """Refuse corners of one view at different joints (or tool poses in their place): they are of several pictures.
 
     Args:
         table: The corners, one row each.

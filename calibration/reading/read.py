@@ -243,7 +243,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
 
 
 def _refuse_more_joints(header: Sequence[str], expected: Sequence[str], geometry: Geometry, where: str) -> None:
-    """Refuse joint columns beyond the arm's joints: of a mimic joint or a slide, they would number the others anew."""
+    """Refuse more joint columns than joints; a column of a mimic joint or a slide would renumber the other joints."""
     stems = {name.rpartition("_")[0] for name in expected}
     for column in header:
         stem, _, unit = column.rpartition("_")
@@ -257,12 +257,13 @@ def _refuse_more_joints(header: Sequence[str], expected: Sequence[str], geometry
 
 
 def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry:
-    """Return the geometry whose poses are those of the second of ``links``, relative to the first.
+    """Return the geometry whose poses are the poses of the second of ``links`` relative to the first.
 
     An empty name of a link is the world. A single chain, which is no whole robot, is returned unchanged.
 
     Raises:
-        InputError: If a link is none of the robot's, if both are one, or if links of a single chain are named.
+        InputError: If a link is not one of the robot's, if both links are the same, or if links of a single chain are
+            named.
     """
     tree, ends = geometry.tree, []
     for name in links:

@@ -42,7 +42,7 @@ LEAST_SAMPLES = 50
 """Smallest number of an instrument's samples within the joint log from which the clocks can be identified."""
 
 CHORD = 0.1
-"""Time over which speeds are computed, s: short against a motion, and long enough to suppress noise."""
+"""Time over which speeds are computed, s: shorter than a motion, and long enough to suppress noise."""
 
 LEAST_OVERLAP, LEAST_CORRELATION = 0.3, 0.4
 """Two conditions for trying a clock offset: smallest overlap of the logs, and smallest correlation of the speeds.
@@ -53,7 +53,7 @@ The overlap is a share of the shorter log.
 PEAKS, CLEAR = 5, 0.7
 """Number of clock offsets that are tried by fits, and a limit on the best offset's median misfit.
 
-The limit is a share of the median misfit of each other offset. Above it, the best offset is ambiguous.
+The limit is a share of the median misfit of every other offset. Above this limit, the best offset is ambiguous.
 """
 
 TRIED, FITTED = 300, 1500
@@ -66,12 +66,12 @@ STEP = 1e-3
 """Time step of the numerical derivative of residuals by the clock's offset, s."""
 
 REST, SETTLING = 0.4, 0.3
-"""Shortest standstill of the arm that gives a row, s, and the time at its start in which the arm may still swing, s."""
+"""Shortest standstill of the arm that gives a row, s, and time at its start in which the arm may still swing, s."""
 
 SPREADS, FINEST, COARSEST = 8.0, 2e-5, 3e-3
 """Largest range of a resting joint's values, in standard deviations of the joint log's noise.
 
-The other two values are the lower and upper bound of this range, rad or m.
+The other two numbers are the least and the largest value of this limit, rad or m.
 """
 
 PATH, MOST_ROWS = 0.02, 2000
@@ -248,8 +248,8 @@ def read_recording(
 ) -> tuple[Table, description.DescriptionFile, Clocks]:
     """Turn an instrument's log and its joint log into rows.
 
-    Each standstill of the arm gives a row with the mean of its samples. If these are too few, rows are single samples
-    of the motion.
+    Each standstill of the arm gives a row with the mean of its samples. If standstills are too few, rows are single
+    samples of the motion.
 
     Args:
         table: The instrument's log.
@@ -308,7 +308,7 @@ def _with_std(layout: description.DescriptionFile, factors: list[float]) -> desc
 
     Args:
         layout: The description.
-        factors: The factor for readings, and, where attitudes were measured, that for attitudes.
+        factors: The factor for readings, then, if attitudes were measured, the factor for attitudes.
     """
     measured = layout.measured
     if measured.std is not None:

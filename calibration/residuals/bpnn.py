@@ -1,8 +1,8 @@
 """The back-propagation network of Qiao 2026 for errors that geometry does not explain (section 1.4, eqs (17)-(18)).
 
 Its layers are 6-256-128-64-32-6, with batch normalisation, ReLU and dropout after every hidden layer. Training is by
-mean square error, Adam 1e-3, L2 1e-5, 500 epochs and batches of 16. It is trained with torch. It predicts as a NumPy
-forward pass, with batch normalisation folded into the layers.
+mean square error, Adam 1e-3, L2 1e-5, 500 epochs and batches of 16, with torch. Prediction is a NumPy forward pass,
+with batch normalisation folded into the layers.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class Bpnn:
         """Predict the residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
 
         Many poses go through the network in blocks of `ROWS`. Machine code gives bitwise the same result for a pose
-        that is predicted alone and among other poses.
+        that is predicted alone as among other poses.
         """
         if self._code is not None:
             inputs = np.asarray(joints, dtype=float)
@@ -296,8 +296,7 @@ def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: igno
 
 
 POSES, TILE = 16, 32
-"""Number of poses that go through the network together, and number of one pose's outputs whose weights are adjacent in
-memory."""
+"""Number of poses that go through the network together, and number of outputs whose weights are adjacent in memory."""
 
 SUMS = 8
 """Number of outputs of sixteen poses that are summed in parallel, so that no sum waits for another."""
@@ -363,7 +362,7 @@ def _arranged(layer: Layer, inputs: int, outputs: int) -> NDArray[np.float32]:
 
 
 def _network_code(poses: int, starts: Sequence[int], shapes: Sequence[tuple[int, int]]) -> str:
-    """Return LLVM code that takes several poses at a time through all layers; two buffers hold the outputs in turn.
+    """Return LLVM code that takes several poses at a time through all layers; two buffers hold outputs alternately.
 
     Args:
         poses: Number of poses at a time.
@@ -398,7 +397,7 @@ done:
 def _layer(poses: int) -> str:
     """Return LLVM code of one layer for ``poses`` poses at a time.
 
-    It has vectors of outputs for a single pose, and vectors of poses for several.
+    The code's vectors run over outputs for a single pose, and over poses for several.
     """
     alone = poses == 1
     lanes, sums = (TILE, 1) if alone else (poses, SUMS)

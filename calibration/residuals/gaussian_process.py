@@ -2,8 +2,8 @@
 
 The kernel is s^2 exp(-sum_f (x_f - x'_f)^2 / 2 l_f^2) + noise. Its hyper-parameters maximise the marginal likelihood
 with its analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). That likelihood has several
-optima, some of which explain everything as noise, so the search has several starts. Each output has its own process. SI
-units.
+optima, and some of them explain everything as noise. The search therefore has several starts. Each output has its own
+process. SI units.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class SavedArrays:
 
 
 def column_std(values: Array, constant: float) -> Array:
-    """Compute the standard deviation of each column of ``values`` ``(N, F)``; ``constant`` for those that do not vary.
+    """Compute the standard deviation of each column of ``values`` ``(N, F)``; ``constant`` if a column does not vary.
 
     Set ``constant`` to 1 for inputs, so that changes of a constant input after training keep their size. Set it to a
     tiny number for outputs, so that a model's error on a constant output stays tiny.
@@ -198,11 +198,11 @@ amplitude; in the second, a twentieth."""
 DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
 """Bounds between which amplitude, each input's length scale and the noise are drawn for further starts of the search.
 
-From shorter length scales a search ends with noise alone, from longer ones with inputs ignored.
+From shorter length scales, a search ends with noise alone. From longer ones, it ends with ignored inputs.
 """
 
 JITTER = 1e-10
-"""Variance added to that of the noise, so that a kernel matrix can be factorised."""
+"""Variance added to the noise's variance, so that a kernel matrix can be factorised."""
 
 COARSE, FINE = 1e-5, 1e-7
 """A search ends when a step improves the log likelihood by less than this share: in the first searches, and in the

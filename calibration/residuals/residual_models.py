@@ -1,12 +1,14 @@
 """Learnt residuals, models of the error that remains after the geometric fit, and the gate that accepts them.
 
-All regressors have one interface. A model predicts the error from the joints and, if there are any, the conditions. It
-follows Qiao 2026 eqs (17)-(18) with any regressor: BPNN, RBF network, Gaussian process. Inputs are joints in rad and m,
-standardised; joints with a large range enter as sine and cosine. Outputs are residuals of poses (6) or positions (3).
+All regressors have one interface. A model predicts the error from the joints and, if there are any, the conditions. The
+method is that of Qiao 2026 eqs (17)-(18) with any regressor: BPNN, RBF network, Gaussian process. Inputs are joints in
+rad and m, standardised; joints with a large range enter as sine and cosine. Outputs are residuals of poses (6) or
+positions (3).
 
 The gate accepts a residual only if it reduces the error on contiguous blocks of held-out rows. A random split flatters
 models that interpolate between neighbouring poses. The verdicts come from blocks of rows that are held out of all
-training. The choice among models comes from blocks of the training rows, so that the outer blocks remain a fair test.
+training. The choice among models comes from blocks of the training rows, so that the held-out blocks remain a fair
+test.
 Rows of a cluster have similar errors, so each of them has a smaller weight.
 """
 
@@ -175,8 +177,8 @@ def fit_residual(
         rng: The random generator of all draws.
         conditions: Further inputs ``(N, c)``, such as temperature or payload.
         fitter: Function that replaces the fit of this kind of model, for instance with other settings.
-        periodic_span: Revolute joints whose values span more than this, rad, enter as sine and cosine; infinite for
-            none.
+        periodic_span: Revolute joints whose values span more than this, rad, enter as sine and cosine; with infinity
+            none do.
 
     Raises:
         InputError: If the model is unknown, a number is not finite, or there are too few rows.
@@ -199,11 +201,11 @@ AUTO = ("bpnn", "rbf", "gp")
 """Models that are tried by default. The list is fixed, so that other installed packages do not change the results."""
 
 SLOW = ("bpnn",)
-"""Models that take seconds to fit. They are tried last and, if other models are tried, only if one of these gains on
-the held-out blocks."""
+"""Models that take seconds to fit. They are tried last. If other models are tried, they are tried only if one of the
+others gains on the held-out blocks."""
 
 Refit = Callable[[Measurements], Geometry | ArmModel]
-"""Function that identifies the arm from training rows alone; it returns a fixed arm if the arm was identified from
+"""Function that identifies the arm from training rows alone. It returns a fixed arm if the arm was identified from
 other data."""
 
 
@@ -270,10 +272,10 @@ def gate_residuals(
     On every split the arm is identified again from the training rows, and the residual is then fitted to the same rows.
     A model is accepted if it cuts the RMS on the held-out blocks by more than `MARGIN` and does not increase the
     attitude RMS there by more than `MARGIN`. It must do both again when cross-validated over contiguous folds of the
-    training rows. The cross-validation also ranks the accepted models. So the held-out blocks may reject a model but
-    never rank models. If the blocks also chose the best of several models, its error on them would look too small. A
-    network takes seconds to fit, so it is tried last. If other models are tried too, it is tried only if one of these
-    gains on the held-out blocks (`SLOW`).
+    training rows. The cross-validation also ranks the accepted models. So the held-out blocks can reject a model but
+    never rank models. If they also chose the best of several models, the error of this model on the blocks would look
+    too small. A network takes seconds to fit, so it is tried last. If other models are tried too, the network is tried
+    only if one of them gains on the held-out blocks (`SLOW`).
 
     Args:
         measurements: Poses or positions, in the order they were measured.
@@ -333,8 +335,8 @@ def _attitude_rms(residuals: Array, counts: Array) -> float | None:
 
 
 Trial = tuple[Measurements, Measurements, Array, Array, Array]
-"""One split: training rows, held-out rows, the residuals of each under the arm identified from the training rows, and
-weights of the held-out rows."""
+"""One split: training rows, held-out rows, residuals of the training rows and of the held-out rows under the arm that
+was identified from the training rows, and weights of the held-out rows."""
 
 
 def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:
