@@ -42,8 +42,8 @@ class LookingReach(ScriptedReach):
     """Base class of reach policies that learn each arm's errors from the camera at past fruit.
 
     The policy drives to corrected joint targets, and averages the camera's measurements while the arm stands there. It
-    learns from the average when the next episode begins. Each observation of a batch is of another arm. Subclasses
-    define how the arms are modelled, corrected and learnt: `meet`, `corrected` and `learn`.
+    learns from the average when the next episode begins. Each observation of a batch belongs to a different arm.
+    Subclasses define how the arms are modelled, corrected and learnt: `meet`, `corrected` and `learn`.
     """
 
     called = "remembering"
@@ -113,8 +113,8 @@ class LookingReach(ScriptedReach):
 class AdaptiveReach(LookingReach):
     """Reach policy that updates a Kalman filter of each arm's parameters after every pick.
 
-    Each observation of a batch is of another arm. With a compensator, the filter models the errors that remain after
-    compensation.
+    Each observation of a batch belongs to a different arm. With a compensator, the filter models the errors that remain
+    after compensation.
     """
 
     called = "adaptive"

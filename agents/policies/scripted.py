@@ -163,7 +163,7 @@ class ScriptedScene(ScriptedReach):
         return np.asarray(joints)
 
     def _moved(self, joints: Array, shift: Array) -> Array:
-        """Return joints ``(n,)`` that displace the tool from its position at ``joints`` by ``shift (3,)``, m, base frame.
+        """Return joints ``(n,)`` that move the tool from its position at ``joints`` by ``shift (3,)``, m, base frame.
 
         The tool keeps its attitude if possible.
         """
