@@ -51,7 +51,7 @@ TOLERANCES = (1.0, 10.0)
 any gripper: the raw arm's error would be within the 5 mm that Li's cup tolerates."""
 
 Compensators = dict[str, Compensator | None]
-"""Compensators by policy; None where commands go to the arm unchanged."""
+"""Compensators by policy; None if commands go to the arm unchanged."""
 
 
 @dataclass(frozen=True)

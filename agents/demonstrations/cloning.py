@@ -1,9 +1,9 @@
 """Behaviour cloning: a small network that picks fruit in `pickenv/PickScene-v0` from the wrist camera's images.
 
-It learns from recorded demonstrations of any policy. Inputs are an image, joint values and the gripper's state. The
-output is a step of the tool and the gripper. The network reduces an image to feature points (the spatial softmax of
-Levine et al. 2016). Steps are given in the tool's own frame, where they look the same at any joint values. The module
-needs torch.
+The network learns from recorded demonstrations of any policy. Inputs are an image, joint values and the gripper's
+state. The output is a step of the tool and the gripper. The network reduces an image to feature points (the spatial
+softmax of Levine et al. 2016). Steps are given in the tool's own frame, where they look the same at any joint values.
+The module needs torch.
 """
 
 from __future__ import annotations
@@ -226,7 +226,7 @@ def _looked(observation: Any) -> tuple[NDArray[Any], Array]:
     """Return the wrist camera's images, and joint values with gripper state, from one observation or many.
 
     Raises:
-        InputError: If the observation has none of the two.
+        InputError: If the observation has no images, or no joint values.
     """
     try:
         return np.asarray(observation["pixels"][CAMERA]), np.asarray(observation["agent_pos"], dtype=float)

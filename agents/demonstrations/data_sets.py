@@ -294,7 +294,7 @@ def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
     """Return the card of the data set in a folder, after a check of its files and of its settings against ``asked``.
 
     Raises:
-        InputError: If the data set has no card, its settings are not those of ``asked``, or its files were changed.
+        InputError: If the data set has no card, its settings differ from ``asked``, or its files were changed.
     """
     otherwise = f"{folder} %s; take it away to have it made anew, or give another `out`"
     try:

@@ -162,10 +162,11 @@ def compare(
 
 
 def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, float, set[str], str]:
-    """Return the plant (the true arm) of an environment or None, its control period, s, and what it allows.
+    """Return an environment's plant (true arm) or None, its control period, s, its features, and a sentence.
 
-    The third value may contain "gripper", if the environment judges grasps by its own gripper, and "field", if errors
-    can be mapped over a grid of goals. The fourth is that of `missing_positions`.
+    The features contain "gripper" if the environment judges grasps by its own gripper, and "field" if errors can be
+    mapped over a grid of goals. The sentence says which positions `info` lacks, and is empty if it lacks none
+    (`missing_positions`).
     """
     env = _made(env_id, arguments)
     inner: Any = env.unwrapped

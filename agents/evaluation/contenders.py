@@ -1,7 +1,7 @@
 """Contenders of a comparison (a policy, and the compensator between it and the arm), and their runs on seeded fruit.
 
-A name on the command line is a registered policy, a shipped baseline, a policy file, or a folder of trainings. What
-counts of a run is the final distance between the tool's true position and the fruit.
+A name on the command line is a registered policy, a shipped baseline, a policy file, or a folder of trainings. The
+result of a run is the final distance between the tool's true position and the fruit.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ class Moment(NamedTuple):
     Attributes:
         reward: Reward of the step; 0 after the reset.
         info: The environment's info.
-        target: Joint values ``(n,)``, rad or m, to which the controller has sent the arm, and where it believes the arm
-            to be. None if the environment does not report them.
+        target: Joint values ``(n,)``, rad or m, to which the controller has sent the arm, and at which it believes the
+            arm to be. None if the environment does not report them.
     """
 
     reward: float
@@ -314,7 +314,7 @@ def kind_of(name: str) -> Kind:
     """Return the properties of a policy, given its name.
 
     Args:
-        name: Registered policy, shipped baseline, policy file, or the folder of one training, or of one with several
+        name: Registered policy, shipped baseline, policy file, or folder of a training with one or several
             seeds.
 
     Raises:
@@ -468,7 +468,7 @@ def contenders_of(
     camera_noise_mm: float = 0.0,
     allow: Collection[str] = (),
 ) -> list[Contender]:
-    """Return the contenders of a comparison, those labelled raw, LS and LS+BPNN first.
+    """Return the contenders of a comparison; contenders labelled raw, LS and LS+BPNN come first.
 
     Args:
         policies: One or more policies. A calibration file among them stands for the scripted policy with this
@@ -539,7 +539,7 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
 
 
 def check_labels(labels: Sequence[str]) -> None:
-    """Raise an error if two labels are not distinct by their letters and digits, which identify a policy in viewers.
+    """Raise an error if two labels have the same letters and digits, by which viewers identify a policy.
 
     Raises:
         InputError: If a label has no letter or digit, or two labels differ in punctuation and capitals only.
@@ -595,7 +595,7 @@ def _name(policy: Given) -> str:
 def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
     """Return one label per contender, made of what differs between them: the calibration, the policy, or both.
 
-    ``policies`` has the name of each contender's policy, and ``stages`` that of its calibration, "raw" without one.
+    ``policies`` has the name of each contender's policy, and ``stages`` the name of its calibration, "raw" without one.
     """
     if len(policies) == 1:
         return [policies[0] if stages[0] == "raw" else stages[0]]

@@ -7,8 +7,8 @@ the gripper took gives one measurement.
 
 Policies with a memory are trained on `pickenv.wrappers.SameArm`. Before each pick they choose an offset from the fruit,
 at which the arm then aims. A recurrent policy (LSTM) observes the last pick and keeps a state. A policy with a window
-observes the last picks and weighs them by attention, depending on how near they were. Both are stored as a few matrices
-in one file with a checksum, and run by NumPy. Nothing in the file is executed.
+observes the last picks and weighs them by attention, depending on the joints of these picks and of the next one. Both
+are stored as a few matrices in one file with a checksum, and run by NumPy. Nothing in the file is executed.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class LookingReach(ScriptedReach):
     """Base class of reach policies that learn each arm's errors from the camera at past fruit.
 
     The policy drives to corrected joint targets, and averages the camera's measurements while the arm stands there. It
-    learns from the average when the next episode begins. Each observation of a batch is of another arm. Subclasses
-    define how the arms are modelled, corrected and learnt: `meet`, `corrected` and `learn`.
+    learns from the average when the next episode begins. Each observation of a batch belongs to a different arm.
+    Subclasses define how the arms are modelled, corrected and learnt: `meet`, `corrected` and `learn`.
     """
 
     called = "remembering"
@@ -113,8 +113,8 @@ class LookingReach(ScriptedReach):
 class AdaptiveReach(LookingReach):
     """Reach policy that updates a Kalman filter of each arm's parameters after every pick.
 
-    Each observation of a batch is of another arm. With a compensator, the filter models the errors that remain after
-    compensation.
+    Each observation of a batch belongs to a different arm. With a compensator, the filter models the errors that remain
+    after compensation.
     """
 
     called = "adaptive"
@@ -303,7 +303,7 @@ class RememberingPolicy(Actor):
         return set(self.arrays) == set(LSTM)
 
     def begin(self, rows: int) -> State:
-        """Return the state for a number ``rows`` of arms that have not picked yet; a policy with a window has none."""
+        """Return the state for ``rows`` arms that have not picked yet; it is empty for a policy with a window."""
         units = len(self.arrays["state"]) if self.recurrent else 0
         return np.zeros((rows, units)), np.zeros((rows, units))
 
@@ -349,7 +349,7 @@ def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPol
 
 
 def remembers(name: str | Path) -> bool:
-    """Whether a shipped baseline or a policy file holds a policy with a memory.
+    """Return whether a shipped baseline or a policy file holds a policy with a memory.
 
     Raises:
         InputError: If there is no such baseline or file, or the file is damaged.

@@ -34,7 +34,8 @@ TELLING: Mapping[str, tuple[str, str]] = {
     "clip_range": ("stable_baselines3", "PPO"),
     "gae_lambda": ("stable_baselines3", "A2C"),
 }
-"""Module and name of an algorithm, by the name of a setting that only its zip files have; tried in this order."""
+"""Module and name of an algorithm, by the name of a setting that only zip files of this algorithm have. The settings
+are tried in this order."""
 
 RECURRENT = ("sb3_contrib", "RecurrentPPO")
 """Module and name of the algorithm of a zip file with a recurrent policy class, which otherwise looks like PPO."""

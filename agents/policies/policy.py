@@ -180,7 +180,8 @@ class ReachController:
 
 
 COUNTS = 2e-5
-"""Half an encoder count, rad or m. An arm whose reading at rest differs more from the command did not reach it."""
+"""Half an encoder count, rad or m. If a reading at rest differs more from the command, the arm did not reach the
+command."""
 
 STANDING = 1e-3
 """Share of an increment below which a joint step counts as standing still."""

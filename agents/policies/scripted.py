@@ -131,7 +131,7 @@ class ScriptedScene(ScriptedReach):
         return np.append(self.action(away), 1.0 if self._stage >= 2 else -1.0).astype(np.float32)
 
     def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
-        """Return the gap from tool to fruit as measured minus the believed one ``(3,)``, m, base frame.
+        """Return the measured minus the believed gap from tool to fruit ``(3,)``, m, base frame.
 
         Without a camera measurement return None.
         """
@@ -163,9 +163,9 @@ class ScriptedScene(ScriptedReach):
         return np.asarray(joints)
 
     def _moved(self, joints: Array, shift: Array) -> Array:
-        """Return joints ``(n,)`` with the tool displaced from where it is at ``joints``, its attitude kept if possible.
+        """Return joints ``(n,)`` that move the tool from its position at ``joints`` by ``shift (3,)``, m, base frame.
 
-        The displacement is ``shift (3,)``, m, base frame.
+        The tool keeps its attitude if possible.
         """
         jacobian = joint_jacobian(self.geometry, joints)
         step = truncated_inverse(jacobian) @ np.concatenate([shift, np.zeros(3)])
@@ -389,7 +389,7 @@ class ScriptedPick(policy.ReachController):
             approach: Length of the straight path from below up to the fruit, m.
             tool_speed: Largest speed of the tool as the nominal arm predicts it, m/s; by default, `GENTLE` times the
                 bruising speed. Limits of joint speeds hold in any case.
-            gain: Share of the remaining joint step that one action commands; less than 1 where readings are delayed.
+            gain: Share of the remaining joint step that one action commands; less than 1 if readings are delayed.
             arrived: Joint error below which a joint counts as arrived, m or rad.
             aim: Offset from the measured fruit position to the aim ``(..., 3)``, base frame, m.
             patience: Longest time for one fruit, s; after it, the gripper closes wherever the arm is.
@@ -617,7 +617,7 @@ class ScriptedHarvest:
         return {"travel": below, "out": out, "rise": np.asarray(at)}[arm.phase]
 
     def _clear(self, i: int, fruit: int) -> bool:
-        """Whether slave ``i`` can go out to ``fruit`` (indices from 0) without hitting another slave that is out."""
+        """Return whether slave ``i`` can go out to ``fruit``, indices from 0, without hitting a slave that is out."""
         assert self._work is not None
         return not any(
             arm.fruit is not None and arm.phase != "travel" and self._work.conflict[i, fruit, k, arm.fruit]

@@ -62,7 +62,7 @@ class _ScaledActions:
         return super().forward(obs, deterministic) * _scaling(self).share(obs)  # type: ignore[misc, no-any-return]
 
     def action_log_prob(self, obs: Any) -> tuple[th.Tensor, th.Tensor]:
-        """Return actions, multiplied by `ScaledFeatures.share`, and the log-probability of the actions before that."""
+        """Return actions, multiplied by `ScaledFeatures.share`, and the log-probability of the unmultiplied actions."""
         action, log_prob = super().action_log_prob(obs)  # type: ignore[misc]
         return action * _scaling(self).share(obs), log_prob
 

@@ -123,7 +123,7 @@ def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
 
 
 def _is_a(value: Any, kind: Any) -> bool:
-    """Whether a value has the type ``kind`` of an annotation, such as int | None; contents of lists are not checked."""
+    """Return whether a value has the type ``kind``, such as int | None; contents of lists are not checked."""
     kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
     return type(value) in {get_origin(option) or option for option in kinds}
 
@@ -186,7 +186,7 @@ def _tensor(values: Any) -> torch.Tensor:
 
 
 def _tensors(values: Any, rows: int | None = None) -> Any:
-    """Convert an array's first ``rows`` rows, or those of each array of a mapping, to tensors."""
+    """Convert the first ``rows`` rows (all if None) of an array, or of each array of a mapping, to tensors."""
     if isinstance(values, dict):
         return {key: _tensors(value, rows) for key, value in values.items()}
     return _tensor(values if rows is None else values[:rows])

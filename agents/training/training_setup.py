@@ -329,7 +329,7 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
 
     Returns:
         For reaching: "mean_mm" and "p95_mm", mean and 95th percentile of the final position error, and "success_rate".
-        They are taken over 256 episodes (of 60 steps if the environment's have no limit), or over all picks of 256 arms
+        They are taken over 256 episodes (of 60 steps if the environment sets no limit), or over all picks of 256 arms
         for a policy with a memory. For picking: mean numbers of fruit per canopy, over 16 canopies, under the names
         "collected", "damaged", "attempted" and "reachable".
     """

@@ -307,7 +307,7 @@ kind with several sections, a pair: the name of the class to make, and "module:n
 
 
 def class_of_file(kind: str) -> Any:
-    """Return the class that a kind of file is read into, by the name of the kind in `FILES`."""
+    """Return the class into which a kind of file is read, given the name of the kind, a key of `FILES`."""
     from pickenv.base import toml_table
 
     place = FILES[kind]

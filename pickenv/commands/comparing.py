@@ -269,8 +269,8 @@ def _record(run: pickenv.inspect.Run, policy: str | None) -> Path:
 def _record_evaluation(run: pickenv.inspect.Run, policy: str | None) -> Path:
     """Record one policy of an evaluation with every compensation, and return the recording's path.
 
-    Of the evaluation's plants and kinds of feedback the first is recorded. ``policy`` is the policy's name, or None for
-    the evaluation's first.
+    Only the evaluation's first plant and first kind of feedback are recorded. ``policy`` is the policy's name, or None
+    for the evaluation's first.
     """
     from pickenv.experiments.policies import reaches_in
     from pickenv.experiments.policy_tables import read_episodes

@@ -1,7 +1,7 @@
 """How a command ends: with an exit code, and with one sentence if something went wrong.
 
 Exit codes: 0 done, 2 bad input, 70 a fault of this program, 74 output cannot be printed, 130 interrupted. The last
-three are those of sysexits.h and of shells.
+three are as in sysexits.h and in shells.
 """
 
 from __future__ import annotations

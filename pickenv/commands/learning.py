@@ -137,7 +137,7 @@ def _refuse_class(option: str, plants: Sequence[str]) -> None:
 
 
 def _is_told(plant: pickenv.Plant) -> bool:
-    """Return whether a plant is a twin of a calibration that dropped no parameter, so that none has a tolerance."""
+    """Return whether a plant is a twin without tolerances, because its calibration dropped no parameter."""
     return plant.posterior is not None and not len(plant.posterior.unseen)
 
 
@@ -254,7 +254,7 @@ def evaluate(
 
 
 def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]], details: bool) -> None:
-    """Print which policy ends nearest on each plant, and a table of the errors; with ``details`` of all numbers.
+    """Print which policy ends nearest on each plant, and a table of the errors, or of all numbers with ``details``.
 
     ``rows`` has the results of each policy on each plant, and ``comparisons`` the differences between policies.
     """

@@ -119,7 +119,7 @@ PARAMETERS = {
     "plants": "plant",
     "policies": "policy",
 }
-"""Names of parameters in commands, by their names in the library, where the two differ."""
+"""Names of parameters in commands, by their names in the library, if the two differ."""
 
 
 def with_options(text: str) -> str:

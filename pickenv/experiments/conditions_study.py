@@ -1,11 +1,11 @@
-"""Study how a calibration's accuracy changes with payload, temperature and hour of day, future work of Qiao 2026.
+"""Study how a calibration's accuracy changes with payload, temperature and hour of day (future work of Qiao 2026).
 
 Measurements are made in two ways: at the reference (no payload, usual temperature, start of work), and in sessions
 under other conditions, which are recorded. The recorded conditions can be inputs of parametric terms (payload: weight;
 temperature: thermal growth) and of a learnt residual (payload, temperature, hour). All calibrations are judged at poses
 and under conditions that no fit has used.
 
-The arm moves to every pose from another one and is held there for a minute. The measurements thus include friction and
+The arm moves to every pose from another pose, and stays there for a minute. The measurements thus include friction and
 backlash.
 """
 
@@ -45,7 +45,7 @@ REFERENCE, BLIND, TOLD, TERMS, BOTH = (
     "terms and network told",
 )
 NETWORKS = ("bpnn", "rbf")
-"""Residual models that "network" names; any other one has its own name in its place."""
+"""Residual models that method names call "network". Any other residual model appears by its own name."""
 
 
 RANGES = ("payload", "weather", "hours")
@@ -115,7 +115,8 @@ class State:
 def warming(plant: Plant) -> Plant:
     """Return a plant (the true arm with its errors) that has thermal growth.
 
-    A plant without thermal growth gets that of the tolerance class "medium"; any other plant is returned unchanged.
+    A plant without thermal growth gets the growth of the tolerance class "medium"; any other plant is returned
+    unchanged.
     """
     if plant.effect("thermal_growth") is not None:
         return plant

@@ -4,7 +4,7 @@ An experiment measures each unit (an arm, a seed, a part of a file's rows) at ev
 values of a unit or factor are its levels. A piece is the work at one level of each unit and factor; it gives any number
 of rows. The random numbers of a piece depend on the experiment's seed and on the levels of its units alone. Two levels
 of a factor are therefore measured with the same arms, fruit and noise. A backend computes the pieces: this process, or
-several processes of this machine. Results do not depend on it.
+several processes of this machine. Results do not depend on the backend.
 
 In a folder, every piece is a Parquet file with a seal, that is a checksum of its content. The file's name contains a
 hash over everything that the rows depend on: inputs, levels and the code that computes numbers. A piece whose file
@@ -250,7 +250,8 @@ class Rows:
 def joined(parts: Sequence[Rows]) -> Rows:
     """Concatenate tables of rows; NaN, or empty text, fills the rows of a part that lacks a column.
 
-    If a column holds arrays that are shorter in one part than in another, the shorter arrays are filled up likewise.
+    If a column holds arrays that are shorter in one part than in another, the shorter arrays are filled up in the same
+    way.
     """
     filled = [part for part in parts if len(part)]
     names = dict.fromkeys(name for part in filled for name in part.columns)
@@ -490,7 +491,8 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
 def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
     """Write the record of a folder (`RECORD`), which lists the files of pieces, each with the key of its piece.
 
-    The record lists ``pieces`` (keys by file name), and those pieces of earlier runs whose files are in the folder.
+    The record lists ``pieces`` (keys by file name). It also lists pieces of earlier runs if their files are in the
+    folder.
     """
     path, before = folder / RECORD, dict[str, str]()
     try:

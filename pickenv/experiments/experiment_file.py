@@ -91,7 +91,7 @@ class Number:
         by: Columns that identify a number; each combination of their values has one number.
         over: One or two columns of units; the intervals are over these units.
         of: Statistic to estimate: "mean", "share", "ratio", "removed" (relative reduction of the mean), a probability
-            for that quantile over units, or "file.py:function" for a function of the units' means
+            for its quantile over units, or "file.py:function" for a function of the units' means
             (`pickenv.base.intervals.estimate`).
         against: Reference value of one or several columns of ``by``. Each number then compares the rows at another
             value with the rows at the reference, pair by pair.
@@ -368,16 +368,17 @@ MADE = ("estimate", "units", "runs", "lost", "sampled")
 """Keys of a row of estimates that are not names of levels."""
 
 RESERVED = (*MADE, "value", "ci95", "no_interval", "lost_ci95", "sampled95", "std", "range")
-"""Keys of a row of estimates, here and in JSON, which are therefore no allowed names of columns of ``by``."""
+"""Keys of a row of estimates, here and in JSON. Columns of ``by`` must not have these names."""
 
 
 def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the tables of `ExperimentFile.estimates` with plain values, for JSON.
 
     Each row has its levels, "value", the 95 % interval "ci95", and "no_interval", the reason why there is no interval.
-    A row over several runs has "runs", the mean of each run. With several units, "std" and "range" are those of the
-    units' means. If ``lost`` is set, the share of lost values is "lost", and the interval of this share "lost_ci95". If
-    "ci95" is over draws of constants, "sampled95" is the interval over units for the shipped constants.
+    A row over several runs has "runs", the mean of each run. With several units, "std" and "range" are the
+    standard deviation and the range of the units' means. If ``lost`` is set, "lost" is the share of lost values, and
+    "lost_ci95" the interval of this share. If "ci95" is over draws of constants, "sampled95" is the interval over units
+    for the shipped constants.
     """
 
     def plain(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -161,7 +161,7 @@ def left_of_blocks(
         arm: The arm.
         rows: The rows, in the order in which they were measured.
         number: Index of this set of rows, from 0; modulo 10 it is the index of the first held-out tenth.
-        apart: Number of tenths from the first held-out one to the second; after the last tenth, counting goes on at 0.
+        apart: Number of tenths from the first held-out tenth to the second; counting goes on at 0 after the last tenth.
         rng: Random numbers for the learnt models.
         models: Arguments of `left_by_models` that select the models.
     """
@@ -194,7 +194,7 @@ class BlockedGain:
         arm: Name of the plant that arms were drawn from, or of the measured arm.
         ls_mm: RMS position error of least squares, mm: the mean over drawn arms, or the RMS over all rows of a measured
             arm.
-        removed: Share of ``ls_mm`` that the model removes: the mean over drawn arms, or of a measured arm.
+        removed: Share of ``ls_mm`` that the model removes: the mean over drawn arms, or the share of a measured arm.
         lowest: Smallest share of any drawn arm. For a measured arm, the lower end of the share's 95 % interval over ten
             contiguous parts of the file; None without an interval.
         highest: Largest share of any drawn arm. For a measured arm, the upper end of the same interval.

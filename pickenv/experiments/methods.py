@@ -34,7 +34,7 @@ METHODS: tuple[str, ...] = ("raw", "ls", "ls_bpnn", "best")
 """Methods that are compared by default."""
 
 RESIDUALS = {"ls": None, "ls_bpnn": "bpnn", "best": "gp"}
-"""Residual model that each of these methods adds to least squares; None where it adds none."""
+"""Residual model that each of these methods adds to least squares; None if it adds none."""
 
 ORIGIN = "evaluated_arm_sha256"
 """Key in the record of a stored calibration, whose value is a hash of the arm and of how it was calibrated."""
@@ -127,7 +127,7 @@ def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationP
     parameters, the method, the plan, the arm's number and the code. The record in the file contains the same hash.
 
     Raises:
-        InputError: If the file is damaged, or the hash in its record is not the one in its name.
+        InputError: If the file is damaged, or the hash in its record differs from the hash in its name.
     """
     key = input_key(plant, method, sources_of(method, plan), plan, number)
     path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', plant.name)}-{method}-{key[:16]}.npz"

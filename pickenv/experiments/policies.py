@@ -50,7 +50,8 @@ PICKERS: Mapping[str, Callable[[Any], Policy]] = {
     "adaptive": lambda env: agents.FeelingPick(env, agents.AdaptiveReach(env, camera_std=2e-3, prior=2.0)),
 }
 """Functions that make the picking policies, by name. "scripted" is gentle and waits for the arm to settle; "hasty" does
-neither. The other two wait. "oracle" aims by the true arm, "adaptive" by what the gripper felt at earlier fruit."""
+neither. "oracle" and "adaptive" wait too. "oracle" aims by the true arm. "adaptive" aims by what the gripper felt at
+earlier fruit."""
 
 RAW_PICKERS = ("oracle", "adaptive")
 """Picking policies that run on raw arms only: they correct the arm's errors themselves, so a compensator would disturb
@@ -202,8 +203,8 @@ def run_policies(
     Returns:
         For reaching, one row per episode. A row has plant, compensation, feedback, policy, seed, and training (the
         index of the training, from 0). ``learned`` says whether the policy was learned. ``arm`` is the index of the arm
-        among those of all seeds, and ``episode`` that of the episode with this arm, both from 0. ``error_mm`` and
-        ``attitude_deg`` are the errors at the end. ``way_mm`` is an array, the position error after each step (NaN
+        among the arms of all seeds, and ``episode`` the index of the episode with this arm, both from 0. ``error_mm``
+        and ``attitude_deg`` are the errors at the end. ``way_mm`` is an array, the position error after each step (NaN
         after the end of the episode). ``cycle_steps`` is the number of steps until the tool stays within `CYCLE_MM` of
         the fruit (NaN if it never does). ``chance_NAME`` is the probability that gripper NAME takes the fruit. The
         fields of `pickenv.agents.Reaches` are columns, too.

@@ -43,7 +43,8 @@ CELL = ("policy", "compensation", "feedback", "plant")
 KEYS = (*CELL, "gripper")
 
 HEADS = ("mean (mm)", "95 % interval (mm)", "median arm (mm)", "95th arm (mm)", "success (%)", "cycle (s)")
-"""Heads of the columns after those of `KEYS`; any further interval stands in brackets behind its number."""
+"""Heads of the columns that follow the columns `KEYS`. The interval of the mean has a column. All other intervals stand
+in brackets behind their numbers."""
 
 STATISTICS: Mapping[str, str | float] = {"mean": "mean", "median arm": 0.5, "95th percentile arm": 0.95}
 
@@ -56,7 +57,7 @@ def estimates(rows: Rows, value: str, of: str | float = "mean", by: Sequence[str
     Args:
         rows: The rows, from `run_policies`.
         value: Column that the numbers are estimated from.
-        of: "mean", "share", or a probability for that quantile over arms (`pickenv.base.intervals.estimate`).
+        of: "mean", "share", or a probability for its quantile over arms (`pickenv.base.intervals.estimate`).
         by: Columns that identify a number.
 
     Returns:
@@ -120,14 +121,14 @@ def evaluation_rows(settings: PolicySettings, rows: Rows) -> list[dict[str, Any]
 
 
 def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
-    """Compare each two compensations, pair by pair on the same arms and fruit.
+    """Compare every two compensations, pair by pair on the same arms and fruit.
 
     Args:
         rows: The episodes, from `run_policies`.
 
     Returns:
         One dictionary for each policy, feedback, plant and pair of compensations. The compensation that appears first
-        in ``rows`` is "from", and the other one is "to". "difference_mm" is the mean error with "to" minus that with
+        in ``rows`` is "from", and the other one is "to". "difference_mm" is the mean error with "to" minus the one with
         "from". "ci95" is the 95 % interval of the difference, and "significant" whether it differs from zero.
     """
     steps, names = [behind for (behind,) in rows.levels("compensation")], ("policy", "feedback", "plant")
@@ -379,7 +380,7 @@ RECIPES: Mapping[str, Training] = {
 }
 """Trainings of the leaderboard's learned policies, by their names on it; each is repeated with several seeds. "ppo"
 learns to reach on the ideal arm. The policies with a memory ("window_camera", "recurrent_camera") learn on many arms
-like the smooth one, the others on the smooth arm. No training has a delay."""
+like the smooth one. All other policies learn on the smooth arm. No training has a delay."""
 
 LEADERBOARD = PolicySettings(
     policies=("scripted", "servo", "adaptive", "oracle"), compensations=("raw", "ls", "best"), arms=12, episodes=10,

@@ -102,9 +102,9 @@ def agreement(gains: Gains) -> dict[str, Any]:
     Returns:
         A mapping for JSON. "sets" is the number of data sets, and "gains" the number of gains. "models" has one entry
         per model: "robots", the number of data sets, and distances from the measured gains in percentage points.
-        "median_points" and "worst_points" are those of the twins' predictions. "null_median_points" and
-        "null_worst_points" are those of the null prediction, None if there is only one robot. "learnt_on_blocks" is the
-        number of gains of learnt residuals. "sign_right" is the share of these gains whose sign the twins predict
+        "median_points" and "worst_points" are median and maximum for the twins' predictions. "null_median_points" and
+        "null_worst_points" are the same for the null prediction, None if there is only one robot. "learnt_on_blocks" is
+        the number of gains of learnt residuals. "sign_right" is the share of these gains whose sign the twins predict
         correctly.
     """
     blocks = [gain for gain in gains if gain["split"] != "random"]

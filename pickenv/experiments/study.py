@@ -63,7 +63,7 @@ from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.experiments.engine import Rows, joined
 
 VERSION = 3
-"""Version of the rows. It is raised when a configuration would give other rows, so that old and new never mix."""
+"""Version of the rows. It is raised when a configuration would give other rows, so that old and new rows never mix."""
 
 RAW, LS = "raw", "ls"
 METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
@@ -153,8 +153,8 @@ class StudyConfig:
         poses: Numbers of calibration poses that are compared.
         noise: Standard deviations of the readings, one for each case that is compared, in place of the instrument's
             own. They include errors of range and of centring.
-        instrument: Instrument that measures the arms: a name of `pickenv.arm.load_instrument`, or a path. All but its
-            noise counts, such as the waiting time before each reading.
+        instrument: Instrument that measures the arms: a name of `pickenv.arm.load_instrument`, or a path. All its
+            properties except the noise are used, such as the waiting time before each reading.
         residual_poses: Number of further poses for a learnt residual.
     """
 
@@ -454,8 +454,8 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "creep": ("base_tilt", lambda effect: (effect.creep,)),
     "settlement": ("base_tilt", lambda effect: (effect.settlement,)),
 }
-"""Effect behind each column of sizes, and a function that returns the effect's parameters. Effects that give their own
-sizes, such as those of other packages, have columns named after the effect."""
+"""For each column of sizes, its effect, and a function that returns the effect's parameters. Effects that give their
+own sizes, such as effects of other packages, have columns named after the effect."""
 
 
 def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
@@ -506,7 +506,7 @@ OK = "ok"
 NOT_FINITE = "the simulated arm has no finite pose at some fruit"
 ERROR = "error_mean_mm"
 FIGURES = (ERROR, "error_rms_mm", "error_p50_mm", "error_p95_mm", "error_max_mm", "attitude_mean_deg")
-"""Columns of errors over an arm's fruit. These columns and ``share_within`` are NaN where the status is not `OK`."""
+"""Columns of errors over an arm's fruit. These columns and ``share_within`` are NaN if the status is not `OK`."""
 
 
 def outcomes_of(
@@ -519,9 +519,9 @@ def outcomes_of(
         status: For each arm, `OK` or the reason why it could not be judged ``(N,)``.
         iterations: Number of least-squares iterations of each arm ``(N,)``.
         position: Distance of the tool's true position from the wanted one at each of M fruit ``(N, M)``, m; arbitrary
-            where the status is not `OK`.
+            if the status is not `OK`.
         attitude: Angle between the tool's true attitude and the wanted one at each fruit ``(N, M)``, rad; arbitrary
-            where the status is not `OK`.
+            if the status is not `OK`.
     """
     columns: dict[str, Any] = {}
     for name, value in setting.columns().items():

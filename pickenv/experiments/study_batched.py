@@ -1,10 +1,10 @@
 """Calibrate and judge thousands of arms of a study at once, in torch.
 
 Physics, least squares and compensation are those of `pickenv.experiments.study`, so the rows agree. The least squares
-of all arms start at the nominal geometry. The poses of an arm determine which parameters are redundant: nearly always
-the same. `pickenv.experiments.study` computes arms with other redundant parameters, and arms for which undamped steps
-do not suffice. Joints, vectors and frames are lists of components, whose last axis is over arms: ``(M, N)`` at M fruit
-and ``(P, N)`` at P poses, for N arms. SI units.
+of all arms start at the nominal geometry. The poses of an arm determine which parameters are redundant. In nearly all
+arms these are the same parameters. `pickenv.experiments.study` computes the arms with other redundant parameters, and
+the arms for which undamped steps do not suffice. Joints, vectors and frames are lists of components, whose last axis is
+over arms: ``(M, N)`` at M fruit and ``(P, N)`` at P poses, for N arms. SI units.
 """
 
 from __future__ import annotations

@@ -245,7 +245,7 @@ LONGEST = 16
 
 
 def study_drawings(findings: Findings) -> Drawings:
-    """Return the figures of a study with captions; a figure that the study's rows do not allow has the reason."""
+    """Return the figures of a study with captions; a figure that its rows do not allow has the reason instead."""
     rows, specification = findings.yields, specified(findings.protocol.config)
     has_results = any(row["failed"] < row["arms"] for row in rows)
     drawings: list[Drawing] = []

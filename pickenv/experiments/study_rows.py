@@ -1,9 +1,9 @@
 """Run or continue a tolerance study, and read its folder: yields and quantiles per setting.
 
-A study's folder contains `study.toml`, that is the configuration with its hash, and the folder `rows`. This is the
-folder of an experiment whose units are chunks of arms, with one row for each arm and setting. A complete study has
-`summary.json` too. Each part is checked against the others when it is read. The files in `rows` have the hash of the
-study in their names, and the summary contains the hashes of study and rows.
+A study's folder contains `study.toml`, that is the configuration with its hash, and the folder `rows`. In `rows` is
+an experiment whose units are chunks of arms, with one row for each arm and setting. A complete study
+has `summary.json` too. Each part is checked against the others when it is read. The files in `rows` have the hash of
+the study in their names, and the summary contains the hashes of study and rows.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ def study_of(folder: str | Path) -> study.StudyConfig:
     """Return the configuration of a study's folder, and verify the hash in `study.toml`.
 
     Raises:
-        InputError: If the folder holds no study, or the hash is that of another configuration.
+        InputError: If the folder holds no study, or the hash belongs to another configuration.
     """
     path = Path(folder) / "study.toml"
     config, (content, _) = study.load_study(path), toml_of(path)
@@ -344,9 +344,9 @@ PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
     """Return the rows in which every varied column, except those in ``shown``, is at its middle value.
 
-    The middle grade is chosen among the grades of the middle tolerance class, and the middle noise of attitudes among
-    those of the middle noise of positions. Rows of raw arms have neither poses nor noise, and are kept for any values
-    in these columns.
+    The middle grade is chosen among the grades of the middle tolerance class. The middle noise of attitudes is chosen
+    among the values that occur with the middle noise of positions. Rows of raw arms have neither poses nor noise, and
+    are kept for any values in these columns.
     """
     for name in ("tolerances", *VARIED):
         if name not in shown:
@@ -401,7 +401,7 @@ def quantiles_of(
 
     The i-th of N sorted values has probability (i - 1/2) / N (Hazen's definition). The 95 % band, from order
     statistics, needs no assumption about the distribution. With few arms the band of an extreme quantile has an open
-    end. Fewer than 72 arms leave it open for quantiles below 5 % and above 95 %.
+    end. With fewer than 72 arms, this holds for quantiles below 5 % and above 95 %.
 
     Args:
         rows: Any number of a study's rows.

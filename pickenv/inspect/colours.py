@@ -54,7 +54,7 @@ SHORT = re.compile(
     rf"(?<![\w./+-])(?:geometry(?=\+)|\w+(?: ?\+ ?\w+)*?(?= ?\+ ?(?:{'|'.join(SPELLED)})\b)|"
     rf"^(?:{'|'.join(ADDED)})(?! [a-z])|{'|'.join(WORDS)})(?: ?\+ ?[A-Za-z]\w*)*(?![\w/+-]|\.\w)"
 )
-"""A short name that stands alone, or is a part of a chain of names with plus signs; not a part of a file's name."""
+"""Pattern of a short name that stands alone or in a chain of names with plus signs, but not in the name of a file."""
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
 """Keys of policies in the order in which figures and recordings list them. All other policies follow."""
 
@@ -63,7 +63,7 @@ ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
 
 
 def policy_key(name: str) -> str:
-    """Return the key of a policy (its name in files and entity paths), given its key, its label or its description.
+    """Return a policy's key, which names it in files and entity paths, given the key, the label or the description.
 
     For example, ``ls_bpnn``, ``LS + BPNN`` and ``least squares + neural network`` all give ``ls_bpnn``.
     """
@@ -140,10 +140,10 @@ def as_sentence(text: str) -> str:
 
 
 def lane(name: str) -> str:
-    """Return the part of an entity path that names a policy, given its key or label, such as ``2_ls`` or ``4_ppo``.
+    """Return the part of an entity path that names a policy, such as ``2_ls`` or ``4_ppo``, given its key or label.
 
-    The part begins with the `policy_rank`, by which entity paths are sorted. Anything after a slash in the name, such
-    as an environment's number, is kept.
+    The part begins with the policy's rank (`policy_rank`), so that entity paths are sorted by rank. Text after a slash
+    in the name, such as an environment's number, is kept.
     """
     policy, *further = name.partition("/")
     return f"{policy_rank(policy)}_{policy_key(policy)}{''.join(further)}"
@@ -204,7 +204,7 @@ def said(
 
     Args:
         value: The estimate; None if it is unknown.
-        ends: Both ends of the interval, None for an open end; None without an interval.
+        ends: Both ends of the interval, None for an open end; None if there is no interval.
         digits: Number of decimals.
         scale: Factor on the estimate and its interval.
         sign: "+" to write a sign before positive numbers too.
@@ -233,8 +233,8 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
     """Return the meaning of a parameter in words; an empty string for an unknown name.
 
     Args:
-        name: Name of the parameter, such as alpha0, theta1, base_x, compliance4. The number in the name is that of a
-            link, from 0 for alpha, a and beta, from 1 for theta and d.
+        name: Name of the parameter, such as alpha0, theta1, base_x, compliance4. The number of a
+            link counts from 0 in alpha, a and beta, and from 1 in theta and d.
         joint_names: Names of the joints.
         link_names: Names of the links, if a joint moves several links; the joints' names when None.
     """
@@ -262,5 +262,5 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
 
 
 def unmarked(text: str) -> str:
-    """Return a text that Markdown shows as it is: a backslash stands before each sign that would mark something."""
+    """Return a text with a backslash before each special character of Markdown, so that Markdown shows it as it is."""
     return re.sub(r"[\\`*<\[|]", r"\\\g<0>", text)

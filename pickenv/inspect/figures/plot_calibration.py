@@ -119,7 +119,7 @@ def parameter_spectrum(
 
 
 def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike) -> Figure:
-    """Draw a map of the uncertainty over distance from the base and height: the mean in each of many square cells.
+    """Draw a map of the mean uncertainty in square cells; the axes are the distance from the base and the height.
 
     Args:
         distance_mm: Horizontal distance of the tool from the base at each pose ``(N,)``, mm.

@@ -35,8 +35,8 @@ from pickenv.inspect.runs.traces import ViewErrors
 PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.85
 """Width of one panel, and height of the titles and the colour bar together, inches."""
 MOST_ARROWS = 400
-"""Largest number of arrows in a panel. Beyond it, arrows would cover each other, so only every second, third … cell
-along each axis is drawn."""
+"""Largest number of arrows in a panel. More arrows would cover each other. A larger field is therefore drawn at every
+second, third … cell along each axis only."""
 
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "headwidth": 3.5, "minlength": 0.0}
 """Matplotlib's settings for arrows whose vectors are in the units of the axes."""
@@ -99,7 +99,9 @@ def error_fields(comparison: Comparison) -> Figure:
 
 
 def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np.intp], float]:
-    """Choose evenly spaced field points to draw: at most ``most``, but all if no even spacing gives so few.
+    """Choose evenly spaced points of a field to draw, at most ``most``.
+
+    All points are chosen if every even spacing leaves too many points or none.
 
     Returns:
         Indices of the points, from 0 in the field, and the distance between neighbouring points, m.
@@ -116,8 +118,8 @@ def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np
 def field_gain(step: float, top_mm: float) -> float:
     """Return the factor, a round number, by which all figures of a field draw arrows longer than true.
 
-    The factor is that of recordings, `GAIN` of `comparison_summary`, if it makes the longest arrow 0.25 to 1.5 cells
-    long. Otherwise neighbouring arrows nearly touch.
+    The factor is `comparison_summary.GAIN`, as in recordings, if the longest arrow is then 0.25 to 1.5 cells long.
+    Otherwise the factor makes the longest arrow about one cell long, so that neighbouring arrows nearly touch.
 
     Args:
         step: Cell size of the field, m.
@@ -465,7 +467,7 @@ def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name:
 
 
 def _better(series: Mapping[str, Array]) -> str:
-    """Return a title: at how many poses the last method errs less than the first.
+    """Return a title that says at how many poses the last method errs less than the first.
 
     The ``series`` are errors by the method's label. With only one method, the title is this method's largest error.
     """
@@ -478,8 +480,8 @@ def _better(series: Mapping[str, Array]) -> str:
 def _groups(x: Array) -> list[NDArray[np.intp]]:
     """Group rows by their values ``x``, and return the row indices of each group.
 
-    Indices are from 0. Each value has a group. If there are more than `GROUPS` values, rows are divided into `GROUPS`
-    equal groups instead.
+    Indices are from 0. Each distinct value has a group. If there are more than `GROUPS` distinct values, the rows are
+    divided into `GROUPS` equal groups instead.
     """
     values = np.unique(x)
     if len(values) <= GROUPS:

@@ -112,7 +112,7 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
     """Draw picks per hour against the number of arms, with 95 % intervals and a curve for each density of fruit.
 
     Args:
-        throughput: For each density of fruit, by label, picks per hour with their interval by number of arms.
+        throughput: For each density of fruit, by label: the picks per hour, with interval, for each number of arms.
     """
     _something(throughput)
     with style.new_panel(style.COLUMN, 2.9, "arms (number)", "picks per hour (1/h)", legend=1) as (figure, axes):

@@ -1,4 +1,4 @@
-"""Lists of a run's figures, each with a caption, and of figures that cannot be drawn, each with the reason."""
+"""Lists of a run's figures, each with a caption; a figure that cannot be drawn has the reason in its place."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -
 
 
 def legend_below(figure: Figure, axes: Any, most: int) -> None:
-    """Add a legend of one panel's labels below all panels, in at most ``most`` columns, as many as fit side by side.
+    """Add a legend of one panel's labels below all panels, in as many columns as fit, but at most ``most``.
 
     The panel is ``axes`` (matplotlib axes).
     """
@@ -186,8 +186,8 @@ def short(value: float) -> str:
 def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
     """Group similar curves ``(T,)``, given by name, and return the names of the curves in each group.
 
-    A curve is in a group if it differs by less than ``nearest``, in the curves' unit, everywhere from the group's
-    first.
+    A curve is in a group if it differs from the group's first curve by less than ``nearest`` everywhere. ``nearest`` is
+    in the curves' unit.
     """
     groups: list[list[str]] = []
     values = {name: np.asarray(curve, dtype=float) for name, curve in curves.items()}
@@ -217,7 +217,7 @@ def spaced(labels: Sequence[str], least: float, room: float) -> list[str]:
 
 
 def plain_decades(axis: Any) -> None:
-    """Write a logarithmic axis's ticks as plain numbers: 0.5 instead of 5 × 10 to the power of −1."""
+    """Write the ticks of a logarithmic axis as plain numbers, such as 0.5 instead of 5 × 10 to the power of −1."""
     low, high = axis.get_view_interval()
     decades = float(np.log10(high / low))
     subs = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0) if decades < 1.0 else (1.0, 2.0, 5.0) if decades < 2.2 else (1.0,)
@@ -244,7 +244,7 @@ def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float,
 def label_words(name: str) -> str:
     """Return a name with short names spelled out (`in_words`), as a label that every legend shows.
 
-    Matplotlib leaves out of legends what begins with "_", so that a space is put before it.
+    Matplotlib leaves labels that begin with "_" out of legends. A space is therefore put before such a label.
     """
     words = in_words(name)
     return f" {words}" if words.startswith("_") else words

@@ -29,7 +29,7 @@ from pickenv.pictures.shapes import Solids, arm_at_work, cup_solids, hand_solids
 from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words, fitted_eye, seen_along
 
 MOST_MOMENTS = 3.0
-"""Largest number of moments from one frame to the next. With more, viewers could not follow."""
+"""Largest number of moments from one frame to the next. Viewers could not follow more."""
 PAUSE = 9
 """Number of moments for which the last moment of an episode is shown."""
 STILL_STEP = 5e-4
@@ -41,8 +41,7 @@ MISS: dict[bool, Rgb] = {False: RED, True: (255, 128, 128)}
 FRUIT = 0.06
 """Diameter with which every fruit is drawn, m. Recordings hold only the positions of fruit."""
 SAME_FRUIT = 0.045
-"""Smallest distance between two fruit, m. If tools aim at points nearer together than this, the points count as one
-fruit."""
+"""Smallest distance between two fruit, m. Points nearer together than this, at which tools aim, count as one fruit."""
 LEAVES = 1.25
 """Leaf area per volume of the drawn trees, m²/m³, as in the canopy `li2016`."""
 AROUND = 0.16
@@ -66,9 +65,9 @@ Progress = Callable[[str, int, int], None]
 
 
 Attempt: TypeAlias = tuple[int, int, int, bool]
-"""A policy's attempt at one fruit in one episode, as four values: the moment at which the attempt begins; the moment at
-which the gripper closes, until which the fruit hangs still; the last moment, at which the fruit is collected or the
-gripper has closed beside it; and whether the fruit was collected."""
+"""A policy's attempt at one fruit in one episode, as four values. The first three are moments: the attempt begins; the
+gripper closes, and the fruit has hung still until then; the fruit is collected, or the gripper has closed beside it.
+The fourth says whether the fruit was collected."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +134,8 @@ def plan_film(
 def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> list[tuple[int, int]]:
     """Return the moments of an episode to show, as pairs of the indices (from 0) of episode and moment.
 
-    They begin with the reset. If each episode is a reach (``reaching``), they stop when all tools stand still,
-    otherwise at the end of the episode. Then the episode's last moment is repeated `PAUSE` times.
+    The first moment is the reset. In a reach (``reaching``), the moments stop when all tools stand still.
+    Otherwise they stop at the end of the episode. Then the episode's last moment is repeated `PAUSE` times.
     """
     last = max(int(policy.moments[episode]) for policy in policies) - 1
     arrived = last
@@ -299,7 +298,7 @@ class Film:
 
 
 def film_stage(film: Film, number: int, side: int) -> Stage:
-    """Return the scene (stage) of that part of a frame which shows one policy.
+    """Return the scene (stage) for the part of a frame that shows one policy.
 
     Args:
         film: The film.
@@ -348,7 +347,7 @@ def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, 
 
 
 def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
-    """Return the unit vector ``(3,)``, in world axes, in which the tool points; upwards if the attitude is unknown.
+    """Return the tool's direction, a unit vector ``(3,)`` in world axes; it is upwards if the attitude is unknown.
 
     ``episode`` and ``moment`` are indices from 0.
     """
@@ -379,7 +378,7 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
 
 
 def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
-    """Yield a text at each fruit that was missed by moment ``now``: by how many millimetres the fruit was missed.
+    """Yield a text for each fruit that a policy has missed up to moment ``now``: the miss in millimetres, at the fruit.
 
     ``side`` is the index of the policy in the film. All indices are from 0.
     """
@@ -393,7 +392,7 @@ def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
 def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
     """Return where the tool was relative to the fruit each time that a policy's gripper closed ``(K, 2)``, mm.
 
-    The closings of all episodes of the film up to moment ``now`` of ``episode`` count. ``side`` is the index of the
+    All K closings count from the film's first episode to moment ``now`` of ``episode``. ``side`` is the index of the
     policy in the film. The components are those of `seen_along`, which views the fruit along the tool's axis.
     """
     policy, attempts = film.policies[side], film.attempts[side]

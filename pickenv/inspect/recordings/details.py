@@ -95,7 +95,7 @@ def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
-    """Send an arm as exported to URDF, which the commands ``joints`` ``(R, n)``, rad or m, move from reach to reach."""
+    """Send an arm as URDF, which the joint commands ``joints`` ``(R, n)``, rad or m, move from reach to reach."""
     with tempfile.TemporaryDirectory() as folder:
         tree = rr.urdf.UrdfTree.from_file_path(
             write_urdf(geometry, Path(folder) / f"{name}.urdf", name),
@@ -133,9 +133,9 @@ LEGENDS = {"mm": "position", "deg": "attitude"}
 def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     """Return the tabs that show fields of arrows, by the tab's name.
 
-    The first tab has the error field of each policy. With several policies, it also has the difference of two fields:
-    that of the last policy but one minus that of the last policy. A second tab has the field of each effect alone. A
-    third tab has the attitude errors, if they are known.
+    The first tab has the error field of each policy. With several policies, it also has a difference of fields: the
+    field of the last policy but one minus the field of the last policy. A second tab has the field of each effect
+    alone. A third tab has the attitude errors, if they are known.
     """
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
     errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
@@ -190,8 +190,8 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
     """Return fields of attitude errors ``(F, 3)``, rotation vectors, rad; an empty dictionary if attitudes are unknown.
 
-    There are three fields: that of the first policy and that of the last policy, each by the policy's key, and by
-    `FLOOR` the part of the last policy's errors that no joint motion removes.
+    There are three fields. The first policy and the last policy have their errors by the policy's key. The key `FLOOR`
+    has the part of the last policy's errors that no joint motion removes.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     if first.field_attitude is None or last.field_attitude is None:
@@ -233,8 +233,8 @@ ADAPTED = "adapted"
 Day: TypeAlias = Mapping[str, tuple[str, Array]]
 """Error curves of the same reaches over a day, while the arm warms up and the machine tilts and sinks. Each key has a
 label and position errors, mm. A policy's key has the errors of every reach at every time ``(R times, R reaches)``.
-`ADAPTED` has those of the last policy with its commands corrected by a filter ``(R times, M machines)``. Each of these
-machines begins with another reach. `ADAPTED` is missing if there are too few reaches."""
+`ADAPTED` has the errors of the last policy with commands that a filter corrects ``(R times, M machines)``. Each of
+these machines begins with a different reach. `ADAPTED` is missing if there are too few reaches."""
 
 
 def day_hours(comparison: Comparison) -> Array:
@@ -290,10 +290,10 @@ def drifting_plant(plant: Plant) -> Plant | None:
 def day_of(comparison: Comparison) -> Day:
     """Simulate the reaches of a comparison over a day, with the policies' commands, on the plant of `drifting_plant`.
 
-    R machines start together, each with another of the R fruit, and go through all fruit in the same order. So at every
-    time each fruit is reached by one machine, and all machines have been equally busy. For each policy, by key, the
-    result has the label and the errors ``(R, R)``, mm, by time and fruit; for `ADAPTED` the errors are those of
-    `_adapted`. Without reaches or drift the result is empty.
+    R machines start together, each at a different one of the R fruit. All machines go through the fruit in the same
+    order. At every time, each fruit is thus reached by one machine, and all machines have been equally busy. The result
+    has each policy's label and errors ``(R, R)``, mm, by time and fruit, under the policy's key. The key `ADAPTED` has
+    the errors of `_adapted`. Without reaches or drift the result is empty.
     """
     plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
     if plant is None or not count:
@@ -325,10 +325,10 @@ def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Ar
 def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     """Return the position errors ``(R, M)``, mm, of M machines whose filters correct the last policy's commands.
 
-    A filter is a Kalman filter of the arm's parameters, which learns after each of R picks, ``dt`` seconds apart. For
-    the filter, the arm that executes the policy's commands is the nominal arm, as for `AdaptiveReach` behind a
-    compensator. The filter's joint values are those at which the nominal tool is at the fruit. Its correction is added
-    to the command.
+    Each machine has a Kalman filter of the arm's parameters, which learns after each of R picks. Picks are ``dt``
+    seconds apart. At first the filter takes the arm that executes the policy's commands for the nominal arm, as
+    `AdaptiveReach` does behind a compensator. It corrects the joint values at which the nominal tool is at the fruit.
+    This correction is added to the policy's command.
     """
     nominal, count = comparison.nominal, len(comparison.fruit)
     commands = comparison.policies[-1].ends.joint_command

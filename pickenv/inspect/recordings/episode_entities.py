@@ -1,4 +1,4 @@
-"""Logged episodes in Rerun: the choice of steps to record, the entities of these steps, and the layout of the views.
+"""Episodes in Rerun: the choice of steps to record, the entities of these steps, and the layout of the views.
 
 All data come from `info`. An entity is left out if `info` lacks the entries that it shows. Entities have the policy's
 colour and name.
@@ -183,7 +183,7 @@ def last_rows(rows: Sequence[Row]) -> list[Row]:
 
 
 def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return the names of the numbers in ``info``, grouped by unit; booleans and arrays do not count as numbers."""
+    """Return the names of the numbers in ``info``, by unit; booleans and arrays do not count as numbers."""
     groups: dict[str, list[str]] = {}
     for name, value in info.items():
         if np.ndim(value) == 0 and isinstance(value, int | float | np.number) and not isinstance(value, bool):
@@ -277,7 +277,7 @@ def send_steps(
 
 
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
-    """Send names, colours and widths of an entity's curves, and of the same curves of each episode, which are overlaid.
+    """Send names, colours and widths of an entity's curves, and of the overlaid curves of its single episodes.
 
     ``names`` has one name per curve; all curves have one colour.
     """

@@ -118,7 +118,7 @@ def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: floa
 
 
 def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arrival: float) -> None:
-    """Send the fruit of the zone that hangs when the round begins; each fruit changes colour when its pick ends.
+    """Send the fruit that hangs in the zone when the round begins; each fruit changes colour when its pick ends.
 
     ``arrival`` is the time at which the master arm stands and picking begins, s.
     """

@@ -24,7 +24,7 @@ from pickenv.inspect.runs.recorded_episodes import believed_joints, missing_posi
 Observation = TypeVar("Observation")
 Action = TypeVar("Action")
 GROWTH = 2.0
-"""Factor by which the number of recorded steps must grow until the file is rewritten. It keeps the cost small."""
+"""Factor by which the number of recorded steps must grow before the file is rewritten, which keeps the cost small."""
 
 
 class _Recorder:
@@ -55,8 +55,8 @@ class _Recorder:
     def met(self, info: Mapping[str, Any]) -> None:
         """Store the properties that all episodes share, and the recording's identity, after the first reset.
 
-        ``info`` is that of the reset. Recordings of several policies on one environment, plant and first seed have one
-        identity, so the viewer shows them as one.
+        ``info`` is the reset's `info`. Recordings of several policies have one identity if environment, plant and first
+        seed are the same. The viewer shows recordings of one identity as one recording.
         """
         if self._identity:
             return

@@ -1,4 +1,4 @@
-"""Write a comparison of policies as one Rerun recording: which is better, where in the workspace, and every episode.
+"""Write a comparison of policies as one Rerun recording: verdict, error fields over the workspace, and all episodes.
 
 The scenes of all policies are side by side in one space, so that one camera shows all of them. The time lines are as in
 `episode_entities`.
@@ -106,7 +106,7 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
 def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
     """Return entity name, title and errors ``(F, 3)``, m, of each policy's error field and of the difference field.
 
-    The difference is the first policy's errors minus the last policy's; a single policy has none.
+    The difference is the first policy's errors minus the last policy's errors. For a single policy there is none.
     """
     fields = []
     for policy in comparison.policies:
@@ -165,7 +165,7 @@ def _field_tab(comparison: Comparison) -> Any:
 def _box(episodes: RecordedEpisodes) -> tuple[Array, Array, Array]:
     """Return two opposite corners ``(3,)``, m, of a box around tools, fruit and base, and a shift ``(3,)``, m.
 
-    The first corner has the smallest coordinates. The shift is that between the scenes of two neighbouring policies.
+    The first corner has the smallest coordinates. The shift leads from a policy's scene to the next policy's scene.
     """
     points = [values.reshape(-1, 3) for p in episodes.policies for values in (p.tool_position, p.fruit_position)]
     if episodes.nominal is not None:

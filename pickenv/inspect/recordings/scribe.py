@@ -75,7 +75,7 @@ class Scribe:
         self.stream, self.times = stream, tuple(times)
 
     def still(self, entity: str, *content: rr.AsComponents) -> None:
-        """Send archetypes of an entity in one chunk, as static data, which are valid at all times."""
+        """Send archetypes of an entity in one chunk as static data, that is for all times."""
         batches = [batch for archetype in content for batch in archetype.as_component_batches()]
         columns = [rr.ComponentColumn(b.component_descriptor(), b, lengths=[len(b.as_arrow_array())]) for b in batches]
         self.stream.send_columns(entity, [], columns, strict=True)

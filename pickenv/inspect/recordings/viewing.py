@@ -1,4 +1,4 @@
-"""Show recordings, live or finished: in a viewer started here, a browser or a running viewer, or from a server here."""
+"""Show recordings, live or finished: in a new or running viewer, in a browser, or by a server on this machine."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ TONES = {"good": "good", "with care": "care", "do not use": "bad"}
 FURTHER = ("set_ups", "pictures", "uncertainty", "left_out", "terms", "stiffnesses", "harmonics", "residual_models")
 """Keys of the tables that get sections of their own, in the order of the page."""
 OF_MODELS = ("errors", "terms", "residual_models")
-"""Keys of the tables whose cells name models; cells of all others may name files and joints."""
+"""Keys of the tables whose cells name models; cells of all other tables may name files and joints."""
 MAP_POSES = 6000
 """Number of random poses behind the map of predicted uncertainty."""
 
@@ -124,9 +124,9 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
 
 
 def _worth(r: Result) -> str:
-    """Return sentences that say whether the calibration changes picks, as if all errors were across the tool's axis.
+    """Return sentences that say whether the calibration changes picks; empty if this is not known.
 
-    The text is empty if this is not known.
+    All errors are taken to be across the tool's axis.
     """
     if r.miss_unit != "mm" or not r.has_nominal or r.pixels is not None:
         return ""

@@ -100,7 +100,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def demo_verdict(comparison: Comparison, cases: Mapping[str, Sequence[Change]] | None = None) -> PageVerdict:
-    """Return the verdict: how much smaller the last policy's errors are than the first's, and whether picks change.
+    """Return the verdict: how much smaller the last policy's errors are than the first policy's, and changes of picks.
 
     Args:
         comparison: The comparison with its reaches.

@@ -29,8 +29,8 @@ from pickenv.inspect.figures.style import THEME, style
 from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
 PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
-"""Scales of a figure at which its text is as large as the page's, and just legible, px per point. On smaller screens
-the figure scrolls."""
+"""Scales of a figure, px per point. At the first scale its text is as large as the page's, at the second it is just
+legible. On smaller screens the figure scrolls."""
 HERE = Path(__file__).parent / "templates"
 
 

@@ -216,7 +216,7 @@ def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
     """Return the differences over the same fruit for all pairs of policies.
 
     A difference is the later policy of the pair minus the earlier, in the order of ``episodes.policies``. In each
-    dictionary, "from" is the label of the earlier policy, and "to" that of the later one.
+    dictionary, "from" is the label of the earlier policy, and "to" the label of the later policy.
     """
     return [_difference(before, after) for before, after in combinations(episodes.policies, 2)]
 
@@ -320,7 +320,7 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
 
 
 def _level(difference: Mapping[str, Any]) -> bool:
-    """Return whether two policies miss the same fruit by as much, to the digits shown and with all of the interval."""
+    """Return whether the difference between two policies, and its whole interval, are zero to the digits shown."""
     return bool(max(map(abs, [difference["difference_mm"], *(difference["ci95_mm"] or ())])) < 0.5e-3)
 
 
@@ -485,7 +485,7 @@ def scale_end(values: Array) -> float:
 
 
 def histogram_edges_mm(comparison: Comparison) -> Array:
-    """Return the edges ``(B + 1,)``, mm, of about `BINS` bins of round width that hold every policy's reach errors."""
+    """Return the edges ``(B + 1,)``, mm, of about `BINS` bins of round width for the reach errors of all policies."""
     errors = [policy.ends.position_error_mm for policy in comparison.policies]
     largest = float(np.max(errors, initial=0.0))
     width = round_step((largest or 1.0) / BINS)

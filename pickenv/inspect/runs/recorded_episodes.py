@@ -1,7 +1,7 @@
 """Episodes of policies on the same fruit, and their error fields: the data behind tables, films, recordings and pages.
 
-`RecordedEpisodes` hold every moment of the episodes, or only their final states. A `Comparison` is of a simulated arm
-and holds error fields as well. Units: m, rad; mm and degrees where the name says so.
+`RecordedEpisodes` hold every moment of the episodes, or only their final states. A `Comparison` of policies on a
+simulated arm holds error fields as well. Units: m, rad; mm and degrees if the name says so.
 """
 
 from __future__ import annotations
@@ -89,14 +89,14 @@ class RecordedPolicy:
         key: Short name, which is used in entity paths and JSON and determines the policy's colour (`policy_colours`).
         moments: Number of moments of each episode ``(E,)``, T at most.
         joint_target: Joint values at which the controller believes the arm to be ``(E, T, n)``, rad or m. The nominal
-            arm is drawn at these values. They equal ``joint_command`` if the environment does not give them; n is 0
+            arm is drawn at these values. If the environment does not give them, they equal ``joint_command``. n is 0
             without an arm.
         joint_command: Joint command that the drives got ``(E, T, n)``, rad or m: ``joint_target`` after compensation.
         tool_position: The tool's true positions ``(E, T, 3)``, m.
-        tool_rotation: The tool's true attitudes ``(E, T, 3, 3)``, rotation matrices; nan where they are not known.
-        fruit_position: Fruit positions ``(E, T, 3)``, m; among several fruit, that of the fruit that the tool aims for.
+        tool_rotation: The tool's true attitudes ``(E, T, 3, 3)``, rotation matrices; nan if unknown.
+        fruit_position: Fruit positions ``(E, T, 3)``, m; of several fruit, the one that the tool aims for.
         position_error_mm: Distance between the tool's true position and the fruit ``(E, T)``.
-        attitude_error_deg: Angle between the tool's true and wanted attitude ``(E, T)``; nan where it is not known.
+        attitude_error_deg: Angle between the tool's true and wanted attitude ``(E, T)``; nan if unknown.
         success: Whether the environment reports success ``(E, T)``.
         picked: Number of fruit taken in the episode so far ``(E, T)``; a reach takes its fruit at the last moment.
         miss_mm: Distance between tool and fruit at moments when the gripper closes ``(E, T)``; nan at all others. In a
@@ -104,7 +104,7 @@ class RecordedPolicy:
         reward: Reward of each step ``(E, T)``; 0 at the reset and after the end.
         field_errors: True minus wanted tool position at the points of a comparison's grid ``(F, 3)``, m, world axes.
         field_attitude: Attitude error, true against wanted, at the points of the grid ``(F, 3)``, as rotation vectors
-            in world axes, rad; None where only positions are known.
+            in world axes, rad; None if only positions are known.
     """
 
     label: str
@@ -167,16 +167,16 @@ class RecordedEpisodes:
     Attributes:
         policies: One entry per policy, in this order: without calibration (raw), with least squares (LS), with a neural
             network in addition (LS+BPNN), then all others.
-        plant: The true arm that was simulated; None where the environment has no plant. Pictures show the arm by
+        plant: The true arm that was simulated; None if the environment has no plant. Pictures show the arm by
             `joint_command` and `tool_position` (`pickenv.arm.true_points`).
         tolerance_mm: Tolerance of the gripper. For a suction cup, it is the lateral distance from the tool up to which
             the fruit is always taken. For another gripper, it is the distance at which the fruit is taken one time in
             two.
         seed: Seed of the comparison.
         seeds: Seed of each episode, the same for all policies.
-        env_id: The environment's id for `gymnasium.make`; empty where only final states are kept.
-        gripper: Name of the gripper by which picks are judged; empty where only final states are kept.
-        period: Time between two moments, s; 0 where only final states are kept.
+        env_id: The environment's id for `gymnasium.make`; empty if only final states are kept.
+        gripper: Name of the gripper by which picks are judged; empty if only final states are kept.
+        period: Time between two moments, s; 0 if only final states are kept.
     """
 
     policies: tuple[RecordedPolicy, ...]
@@ -190,12 +190,12 @@ class RecordedEpisodes:
 
     @property
     def plant_name(self) -> str:
-        """Name of the plant; empty where the environment has none."""
+        """Name of the plant; empty if the environment has none."""
         return "" if self.plant is None else self.plant.name
 
     @property
     def nominal(self) -> Geometry | None:
-        """Nominal geometry of the arm, which its controller uses; None where the environment has no arm."""
+        """Nominal geometry of the arm, which its controller uses; None if the environment has no arm."""
         return None if self.plant is None else self.plant.arm.nominal
 
     @property
@@ -260,7 +260,7 @@ class Comparison(RecordedEpisodes):
         plant: The true arm that was simulated.
         grid: The grid of the field's points.
         field_uncertainty: Standard uncertainty of the calibrated tool position ``(F,)``, m, as the calibration predicts
-            it; None where the calibration predicts none.
+            it; None if the calibration predicts none.
     """
 
     plant: Plant

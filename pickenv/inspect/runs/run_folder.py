@@ -1,7 +1,7 @@
 """Run folders: the kind of a run, how it was made, and the data behind its figures and its report.
 
 `run.json` is deleted when a run begins to write, and is written last. So a folder with `run.json` has a complete run.
-This file lists the SHA-256 of every file that the run wrote, and has a hash of its own content.
+`run.json` lists the SHA-256 of every file that the run wrote, and has a hash of its own content.
 
 Data are frozen dataclasses of numbers and arrays, which are read back exactly without executing anything. Such a file
 is a container (`pickenv.base`): a header in JSON, which names arrays, and the arrays. Reading creates only objects of
@@ -110,9 +110,9 @@ def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
 
 
 LARGEST = 1 << 34
-"""Largest size of a file, and of its unpacked content, bytes; it is large because recorded episodes are."""
+"""Largest size of a file, and of its unpacked content, bytes. It is large because recorded episodes are large."""
 DATA_FORMAT, DATA_FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4, "HarvestTrace": 4}
-"""Format version of the files of most classes, and the format versions of the classes with another one, by name."""
+"""Format version of the files of most classes, and the format versions of all other classes, by the class's name."""
 
 Saved = TypeVar("Saved")
 
@@ -217,7 +217,7 @@ def _classes(*roots: Any) -> dict[str, Any]:
 
 RECORD = "run.json"
 LIST = "files.json"
-"""Name of the file that lists the files of a folder which is itself no run, but holds several runs, tables and
+"""Name of the file that lists the files of a folder that is no run itself, but holds several runs, tables and
 calibrations."""
 
 PARTS: Mapping[type, str] = {
@@ -285,8 +285,8 @@ def run_kind(name: str, **source: str) -> RunKind:
 
 
 TakePicture: TypeAlias = Callable[[Path], bytes | None]
-"""Function that returns a picture (WebP) of a recording, given its path, or None if it cannot, such as
-`viewer_picture`."""
+"""Function, such as `viewer_picture`, that returns a picture (WebP) of a recording, given the path of the recording. It
+returns None if it cannot make the picture."""
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ class Run:
         folder: The folder.
         kind: Name of a registered kind of run, such as "demo".
         command: Command line that makes the same numbers again.
-        seed: Seed of everything random; None where there is no seed, or several.
+        seed: Seed of everything random; None if there is no seed, or if there are several.
         versions: Versions of the packages that computed the run, by package.
         code: Fingerprint of the code that computed the run (`pickenv.base.reproducibility.code_fingerprint`).
         files: SHA-256 of each file that the run wrote, by its path inside the folder; None while the run writes, and
@@ -326,7 +326,7 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
         folder: The run folder. Missing folders are made.
         kind: Name of a registered kind of run.
         command: Command line that makes the same numbers again.
-        seed: Seed of everything random; None where there is no seed, or several.
+        seed: Seed of everything random; None if there is no seed, or if there are several.
 
     Raises:
         InputError: If another process is writing into the folder, or the folder cannot be written.
@@ -356,9 +356,9 @@ def added_to(run: Run) -> Iterator[None]:
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """Return inode, time, ns, and size, bytes, of every file in a folder but hidden ones, by its path in the folder.
+    """Return inode, time of change (ns) and size (bytes) of every file in a folder, by the file's path in the folder.
 
-    Writing a file again changes these numbers.
+    Hidden files are left out. Writing a file again changes these numbers.
     """
     stamps = {}
     for root, folders, names in os.walk(folder):
@@ -377,7 +377,7 @@ def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]
 
 
 def _record_text(run: Run) -> str:
-    """Return the only valid text of `run.json` for a run: it includes a hash of its other content."""
+    """Return the text that `run.json` must have for a run; the text includes a hash of its other content."""
     content = {"format": FORMAT, **vars(run), "files": run.files or {}}
     del content["folder"]
     return sealed_json(content)

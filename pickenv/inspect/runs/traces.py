@@ -47,13 +47,13 @@ class CalibrationTrace:
         nominal: Nominal geometry of the arm, which its controller uses.
         sets: Joint values ``(N, n)``, rad or m, of each pose set (identification, network, test). A pose with several
             measured errors is repeated for each of them.
-        errors: Held-out pose errors ``(M, 6)``, or misses ``(M, 1 to 3)``, m and rad, of each stage (raw, LS and so
-            on), by label.
-        payload: Payload at each held-out pose ``(M,)``, kg; None where it was not recorded.
-        temperature: Temperature rise at each held-out pose ``(M,)``, K; None where it was not recorded.
+        errors: Held-out pose errors ``(M, 6)``, or misses (measured minus predicted) ``(M, 1 to 3)``, m and rad, of
+            each stage (raw, LS and so on), by label.
+        payload: Payload at each held-out pose ``(M,)``, kg; None if it was not recorded.
+        temperature: Temperature rise at each held-out pose ``(M,)``, K; None if it was not recorded.
         position_rms: Position residual RMS before each of I least-squares iterations and after the last ``(I + 1,)``,
             m.
-        attitude_rms: Attitude residual RMS before each iteration and after the last ``(I + 1,)``, rad; None where only
+        attitude_rms: Attitude residual RMS before each iteration and after the last ``(I + 1,)``, rad; None if only
             positions were measured.
         loss: Training loss of the network per epoch, MSE of normalised targets; None without a network.
         names: Names of the error model's P parameters.
@@ -61,7 +61,7 @@ class CalibrationTrace:
         r_diagonal: |R_kk| of the QR decomposition of the scaled stacked Jacobian, for each parameter ``(P,)``.
         singular_values: Singular values of the scaled stacked Jacobian of the kept parameters.
         fingerprints: Hash of each data set, by the set's name.
-        views: Held-out views with their reprojection errors; empty where no pictures were taken.
+        views: Held-out views with their reprojection errors; empty if no pictures were taken.
         miss_unit: Unit in which the errors are shown: "mm" for lengths, "deg" for the angles of an inclinometer.
     """
 
@@ -97,7 +97,7 @@ def trace_of(
         fit: Result of `calibration.fit` on the first set.
         sets: Measurements by the name of the set. The first set was used for identification, and "test" was held out.
         errors: Held-out errors of each stage (raw, LS and so on), by label, as in `CalibrationTrace`.
-        views: Held-out views; empty where no pictures were taken.
+        views: Held-out views; empty if no pictures were taken.
     """
     identification, calibration = fit.identification, fit.calibration
     identifiability, test = identification.identifiability, sets["test"]
@@ -132,7 +132,7 @@ def _rms(errors: Array) -> float:
 
 
 def views_of(result: Result) -> tuple[ViewErrors, ...]:
-    """Return the held-out views with the errors of their corners; empty where no pictures were taken."""
+    """Return the held-out views with the errors of their corners; empty if no pictures were taken."""
     views = result.test
     if not isinstance(views, PixelObservations) or result.pixels is None:
         return ()
@@ -151,7 +151,7 @@ class PickedTree:
         seconds: Time spent on the tree, s.
         fruit: Positions of the fruit ``(F, 3)``, m, in the frame of the machine's base.
         collected: Whether each fruit was collected, that is put into a tube ``(F,)``.
-        by_arm: Index, from 0, of the arm that last tried each fruit ``(F,)``; −1 where no arm did.
+        by_arm: Index, from 0, of the arm that last tried each fruit ``(F,)``; −1 if no arm did.
         zones: Left and right (x), bottom and top (z) of the zone pictured in each round ``(Z, 4)``, m.
         stands: Start and end of the time in each round when the master arm stands still ``(Z, 2)``, s.
         arm: Index, from 0, of the arm of each pick ``(P,)``.
