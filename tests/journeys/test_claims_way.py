@@ -25,6 +25,11 @@ def clone(tmp_path: Path) -> Path:
     return tmp_path / "pickenv"
 
 
+def terminal(**more: str) -> dict[str, str]:
+    """The variables of a terminal, where no make is at work that would speak in between."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("MAKE")} | more
+
+
 def start(clone: Path) -> subprocess.Popen[str]:
     """Type what the page prints, with the environment that runs this test in place of a new .venv; as in a terminal."""
     page = (clone / "docs/claims.md").read_text(encoding="utf-8")
@@ -32,7 +37,7 @@ def start(clone: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         ["sh", "-c", f"exec {command} BIN='{Path(sys.executable).parent}' DEVELOPMENT="],
         cwd=clone,
-        env=os.environ | {"PYTHONPATH": str(clone)},
+        env=terminal(PYTHONPATH=str(clone)),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -59,7 +64,9 @@ def verdicts(shown: str) -> list[bool]:
 @pytest.mark.slow
 def test_a_new_environment_has_what_the_rows_need(clone: Path) -> None:
     """Rows pick by contact, in other people's tasks, with networks: their packages are installed before the first."""
-    plan = subprocess.run(["make", "-n", "claims"], cwd=clone, capture_output=True, text=True, check=True).stdout
+    plan = subprocess.run(
+        ["make", "-n", "claims"], cwd=clone, env=terminal(), capture_output=True, text=True, check=True
+    ).stdout
     assert plan.index('-e ".[dev]"') < plan.index("scripts/claims.py check")
     extras = tomllib.loads((clone / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     brought = " ".join(extras["dev"])
