@@ -1,6 +1,7 @@
 """The recording's picture is the viewer's own, or there is none; no viewer is left behind."""
 
 import io
+import os
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +18,23 @@ def recording(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) 
     return record_comparison(comparison, tmp_path_factory.mktemp("run") / "errors.rrd")
 
 
+@pytest.fixture(autouse=True)
+def mark(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Viewers inherit the mark, which tells them from those that other tests open at the same time."""
+    monkeypatch.setenv("VIEWERS_OF", str(os.getpid()))
+
+
 def viewers() -> set[str]:
-    """Process numbers of viewers without a window."""
-    found = set()
+    """Process numbers of viewers without a window that these tests opened."""
+    found: set[str] = set()
+    token = f"VIEWERS_OF={os.getpid()}".encode()
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             words = path.read_bytes().split(b"\0")
+            marked = token in path.with_name("environ").read_bytes().split(b"\0")
         except OSError:  # it ended
             continue
-        if b"--headless" in words and any(b"rerun" in word for word in words):
+        if marked and b"--headless" in words and any(b"rerun" in word for word in words):
             found.add(path.parent.name)
     return found
 
