@@ -139,14 +139,14 @@ def _axes(geometry: Geometry) -> list[_Axis]:
 def _fits(
     arm: Geometry, mine: list[_Axis], theirs: list[_Axis], worst: dict[int, tuple[float, float]]
 ) -> Iterator[SameChain]:
-    """Yield the relations (root, signs, zeros) under which all axes of both chains agree, the simplest first.
+    """Yield the relations between an arm and a file under which all joint axes agree, the simplest relation first.
 
     Args:
         arm: The arm's geometry before its calibration.
-        mine: The axes of the arm's DH table.
-        theirs: The axes of the file.
-        worst: For each joint, from 0, the smallest distance, m, and angle, rad, by which its two axes missed each other
-            in attempts that failed. It is filled here.
+        mine: The joint axes by the arm's DH table.
+        theirs: The joint axes by the file.
+        worst: This function writes how closely the axes of a joint agreed where they did not agree fully, by the
+            joint's index from 0: the smallest distance, m, and the smallest angle, rad, between its two axes.
     """
     n, free = len(mine), arm.coupling is None
     signs = (1.0, -1.0) if free else (1.0,)

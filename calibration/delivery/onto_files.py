@@ -206,7 +206,10 @@ def _origin_tag(tags: list[document.StartTag], joint: int) -> document.StartTag 
 
 
 def _origin(tags: list[document.StartTag], joint: int) -> Pose:
-    """Return the origin in the file of the joint at index ``joint`` of ``tags``; without a tag, the identity."""
+    """Return the pose that the file gives as the origin of a joint; the identity if it gives none.
+
+    ``joint`` is the index in ``tags`` of the joint's tag.
+    """
     tag = _origin_tag(tags, joint)
     values = {} if tag is None else tag.attributes
     position, rpy = (xml_numbers(values.get(key, "0 0 0"), key, unit.most) for key, unit in (("xyz", M), ("rpy", RAD)))

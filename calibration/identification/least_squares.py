@@ -448,9 +448,11 @@ class Identifiability:
         dropped: The dropped parameters by name. Each has a dictionary of deviations of kept parameters, by name, m or
             rad. Together they have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. The
             dictionary is empty if the dropped parameter has no effect on the measurements.
-        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, about 0 for dropped ones (Qiao 2026 eq (9)).
-            Divided by its mean it is the paper's ratio phi (eq (10)).
-        singular_values: Singular values of the kept parameters' scaled stacked Jacobian, per pose (over sqrt(N)).
+        r_diagonal: Absolute diagonal ``(P,)`` of R in the QR decomposition of the Jacobian (Qiao 2026 eq (9)), one
+            number for each parameter. The Jacobian is that of all rows, with scaled columns. The number is about 0 for
+            a dropped parameter. Divided by the mean, it is the paper's ratio phi (eq (10)).
+        singular_values: Singular values ``(K,)`` of the same Jacobian with the columns of the kept parameters alone,
+            divided by the square root of the number of poses.
     """
 
     names: tuple[str, ...]

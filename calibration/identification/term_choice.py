@@ -353,8 +353,8 @@ def _solution_with_priors(linear: Linearised, observations: Observations) -> tup
     """Solve the linear model for all rows, with priors.
 
     Returns:
-        Columns ``(R, P)`` and residual ``(R,)`` of the rows' equations, the matrix of the normal equations with priors
-        ``(P, P)``, and the solution ``(P,)``.
+        Four arrays. The first is the matrix ``(R, P)`` of the rows' equations. The second is their right side ``(R,)``.
+        The third is the matrix ``(P, P)`` of the normal equations, priors included. The last is the solution ``(P,)``.
     """
     columns, residual = linear.equations(observations)
     matrix = columns.T @ columns + np.diag(linear.ridge)

@@ -542,10 +542,10 @@ class TiltObservations(Observations):
         joints: Joints ``(N, n)``, rad or m.
         components: Cosine of the angle between down and each axis ``(N, K)``, K from 1 to 3.
         std: Standard uncertainty of each component ``(N, K)``, rad.
-        axes_std: Standard uncertainty of a component of an axis: 0 if the axes are x, y and z of the tool, infinite if
-            they are unknown.
-        down_std: Standard uncertainty of a component of the down direction: 0 if the arm's world is level, infinite if
-            the direction is unknown.
+        axes_std: Standard uncertainty of each component of an axis's unit vector. It is 0 if the axes are x, y and z
+            of the tool, and infinite if the axes are unknown.
+        down_std: Standard uncertainty of each component of the unit vector that points down. It is 0 if the arm's world
+            is level, and infinite if the direction is unknown.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: File and line of each row; None if the rows come from no file.

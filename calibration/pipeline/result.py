@@ -74,7 +74,7 @@ class Result:
         unlearnt: Uncertainty of predicted poses without the learnt residual; None if none was learnt.
         terms: The chosen terms and the errors of each candidate; None if terms were not chosen from the rows.
         gate: Verdicts on the residual models; empty if none was judged.
-        left_out: Outlier rows, each with whether it was kept or left out.
+        left_out: The outlier rows. Each says whether it was left out, or kept all the same.
         unit: Serial number of the robot; None if it was not given.
         pixels: Reprojection errors, for JSON; None if no pictures were taken.
         stations: Which frames (base, tool) differ from file to file, as the caller stated. None if this was decided

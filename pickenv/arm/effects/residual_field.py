@@ -203,9 +203,10 @@ class WavesTable:
     Attributes:
         seed: Seed of the periodic errors of the plant (the simulated true arm). Arms that are drawn from the plant have
             other periodic errors.
-        decay: Exponent with which the standard deviation falls: as (longest period / period) ** -decay.
-        joints: For each joint the number of waves, the standard deviation of a coefficient at the longest period, and
-            the longest and the shortest period.
+        decay: Exponent by which shorter periods have smaller coefficients. The standard deviation of a coefficient is
+            that at the longest period times (longest period / period) ** -decay.
+        joints: For each joint four numbers: the number of waves, the standard deviation of a coefficient at the longest
+            period, the longest period, and the shortest period.
     """
 
     seed: Annotated[int, SEED]

@@ -244,8 +244,14 @@ def _performance(
 ) -> Performance:
     """Run one controller through all parts of the test, and return the results.
 
-    ``commands`` ``(5, n)`` lead to P1 to P5, ``approaches`` ``(3, 3, n)`` to the starts of the approaches, rad or m.
-    ``goals`` are the commanded poses P1 to P5, in world axes.
+    Args:
+        plant: The simulated true arm.
+        settings: Numbers of the test.
+        instrument: The instrument that measures the poses.
+        commands: Joint commands ``(5, n)`` of the poses P1 to P5, rad or m.
+        approaches: Joint commands ``(3, 3, n)``, rad or m, at which the three motions to each of three poses start.
+        goals: The commanded poses P1 to P5, in world axes.
+        rng: Generator of all random draws.
     """
     cycles, pace, home, away = settings.cycles, settings.pace, commands[0], commands[1]
     mounting, noise = rng.spawn(1)[0].normal(size=3).tolist(), instrument.noise_on(plant)
