@@ -2,7 +2,7 @@
 # installs Chromium and a graphics driver with apt where they are missing.
 #   make demo                 calibrate the arm, pick with it, look at the error: runs/demo
 #   make test                 style, types, tests
-#   make test-slow            what takes more than a few seconds: the journeys, every page's lines
+#   make test-slow            what takes more than two seconds: journeys, whole robots, every page's lines
 #   make test-thorough         long forms of checks that also run short: hundreds of arms, thousands of draws; weekly
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
 #   make test-lowest          arms and calibration with the lowest versions that pyproject.toml promises: .venv-lowest
@@ -46,12 +46,16 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 TEST_ENVIRONMENT := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo claims docs links package licences test test-slow test-thorough test-lowest test-referees test-lerobot test-browser coverage-of-intervals lint format benchmark mutants clean
+.PHONY: demo claims docs links package licences test pytest test-slow test-thorough test-lowest test-referees test-lerobot test-browser coverage-of-intervals lint format benchmark mutants clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
 
-test: lint
+# Types take one core for most of a minute; tests begin meanwhile.
+test: $(DEVELOPMENT)
+	@$(MAKE) --no-print-directory -j 2 lint pytest
+
+pytest: $(DEVELOPMENT)
 	$(PYTEST) -n 2 --dist worksteal $(ARGS)
 
 test-thorough: $(DEVELOPMENT)

@@ -7,6 +7,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 DEMO = """
 import signal
@@ -25,6 +27,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_an_interrupted_demo_leaves_nothing_half_written(tmp_path):
     out = tmp_path / "run"
     command = [sys.executable, "-c", DEMO, "demo", "--out", str(out)]

@@ -134,6 +134,7 @@ def test_an_evaluation_is_reproducible_and_its_calibrations_are_kept(episodes, f
     assert sorted(path.name for path in folder.glob("*.npz")) == before
 
 
+@pytest.mark.slow
 def test_any_registered_residual_model_is_a_method_of_the_table(tmp_path):
     """ "ls+gp" is what "best" is short for; another's name fits that model."""
     settings = replace(SMALL, policies=("scripted",), compensations=("raw", "ls+gp", "best", "ls+rbf"))

@@ -48,6 +48,7 @@ def test_the_pieces_of_a_killed_worker_are_tried_again(tmp_path):
     assert mark.exists()
 
 
+@pytest.mark.slow
 def test_a_piece_that_always_kills_its_worker_ends_the_work_with_one_sentence():
     def work(number: int) -> None:
         if number == 1:
@@ -70,6 +71,7 @@ list(spread(work, [0, 1], "loky", 2))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not Path("/proc/self/stat").exists(), reason="needs /proc to tell a running process from an ended one"
 )

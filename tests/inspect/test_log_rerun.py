@@ -252,6 +252,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_killed_writer_leaves_a_recording_that_reads(
     tmp_path: Path, reader: Callable[[Path], Any], awaited: Callable[..., list[Any]]
 ) -> None:

@@ -236,6 +236,7 @@ def test_an_interrupt_leaves_the_old_file_and_no_half_one(
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow
 def test_a_killed_writer_leaves_no_recording(tmp_path: Path) -> None:
     script = """
 import os, runpy, sys
@@ -278,6 +279,7 @@ except InputError as error:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_recording_that_rerun_did_not_write_is_not_passed_off_as_one(tmp_path: Path) -> None:
     script = """
 import runpy, sys

@@ -233,6 +233,7 @@ def test_interactive_figures_carry_their_data_and_a_still_twin(page: Page, demo_
     assert page.values("class").count("still") == 2
 
 
+@pytest.mark.slow
 def test_equal_runs_give_equal_pages_and_the_library_is_packed(demo_run: Run, html: str) -> None:
     assert demo_report(demo_run) == html
     assert 1e6 < len(library()) < 2.5e6

@@ -124,6 +124,7 @@ def test_every_kind_of_run_has_a_module_with_its_figures_and_its_page(kind: str)
     assert callable(module.page)
 
 
+@pytest.mark.slow
 def test_a_report_enters_the_page_of_its_kind_and_no_other() -> None:
     code = "import sys, pickenv.inspect.reports.iso9283_report; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
@@ -131,6 +132,7 @@ def test_a_report_enters_the_page_of_its_kind_and_no_other() -> None:
     assert set(loaded) & pages == {"pickenv.inspect.reports.iso9283_report"}
 
 
+@pytest.mark.slow
 def test_figures_are_written_in_each_format_and_named(iso: Run) -> None:
     printed = call("figures", iso.folder)
     written = sorted(path.name for path in (iso.folder / "figures").iterdir())
@@ -202,6 +204,7 @@ def test_reports_of_a_harvest_say_what_was_found(harvest: Run) -> None:
         assert number in page
 
 
+@pytest.mark.slow
 def test_a_calibrations_run_folder_keeps_its_report_and_its_figures(tmp_path: Path) -> None:
     plant, rng = load_plant("geometry_only"), np.random.default_rng(0)
     poses = simulated_tracker(plant, random_joints(plant.geometry, 60, rng), rng)

@@ -205,6 +205,7 @@ def zeros_in_sigma(walked: dict[str, Any]) -> dict[str, float]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mount", ["hand", pytest.param("world", marks=pytest.mark.slow)])
 def test_corners_and_joints_correct_an_arm(so101: str, tmp_path: Path, mount: str) -> None:
     """Joint zeros within three sigma, and the tool nearer than a third of the nominal miss, where no view was taken.

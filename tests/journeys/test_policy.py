@@ -43,6 +43,7 @@ def test_a_policy_is_as_accurate_as_the_calibration_behind_it(seed: int, tmp_pat
     assert left["raw"] >= 1.5 and 0.45 <= left["ls"] <= 0.75 and left["ls_bpnn"] <= 0.35
 
 
+@pytest.mark.slow
 def test_a_policy_that_feels_its_fruit_picks_through_the_day_what_the_page_says(tmp_path: Path) -> None:
     """Simulated; a grasp or two may fall otherwise on another processor."""
     (lines,) = (block for block in BLOCKS if "ManyCanopies" in block)

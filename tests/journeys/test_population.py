@@ -58,6 +58,7 @@ def confirmed(yields: Sequence[Sequence[dict[str, Any]]]) -> float:
     return float(np.mean(held))
 
 
+@pytest.mark.slow
 def test_intervals_of_small_studies_hold_at_other_seeds(tmp_path: Path) -> None:
     """Uncalibrated arms within 3 mm, at many seeds rather than few: settings of one seed are alike, seeds are not."""
     path = tmp_path / "study.toml"

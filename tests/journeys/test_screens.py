@@ -97,6 +97,7 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("ur10", "panda",
 """A camera's calibration fits a screen in `test_camera`, too."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ur5", *SLOW])
 def test_a_measured_robots_calibration_fits_a_screen_and_its_verdict_names_the_error(
     data_folder: Path, name: str
@@ -143,6 +144,7 @@ def test_a_calibration_is_verified_on_a_screen(data_folder: Path) -> None:
 EDGES = "╭─╮│╰╯"
 
 
+@pytest.mark.slow
 def test_on_a_terminal_the_verdict_stands_in_a_panel_and_in_a_pipe_it_is_plain_text(
     data_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -167,6 +169,7 @@ def test_on_a_terminal_the_verdict_stands_in_a_panel_and_in_a_pipe_it_is_plain_t
         assert lines[ends[0] + 1 :] == plain[-(len(lines) - ends[0] - 1) :]
 
 
+@pytest.mark.slow
 def test_simulations_fit_a_screen(folder: Path) -> None:
     check(screen("effects", "--plant", "orchard", "--reaches", 20))
     check(lines := screen(*CONDITIONS, "--json", "c.json"))
@@ -177,6 +180,7 @@ def test_simulations_fit_a_screen(folder: Path) -> None:
     assert set(re.findall(r"\b\d\.\d{3}\b", " ".join(more))) <= numbers
 
 
+@pytest.mark.slow
 def test_policies_are_compared_on_a_screen_and_each_has_a_line(folder: Path) -> None:
     out = Path("run")
     lines = screen("compare", "scripted", "random", "--episodes", 3, "--grid-step", 0.5, "--out", out)
@@ -190,6 +194,7 @@ def test_policies_are_compared_on_a_screen_and_each_has_a_line(folder: Path) -> 
     assert any("median (mm)" in line for line in more) and any(line.startswith("Fruit by fruit") for line in more)
 
 
+@pytest.mark.slow
 def test_one_arm_and_one_reach_are_singular(folder: Path) -> None:
     command = ("evaluate", "--policy", "scripted", "--compensation", "raw", "--arms", 1, "--episodes", 1)
     lines = screen(*command, "--out", "one")

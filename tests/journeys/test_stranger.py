@@ -83,6 +83,7 @@ for line in sys.argv[1:]:
 """Several commands in one process, and the exit code of each."""
 
 
+@pytest.mark.slow
 def test_its_names_stand_in_help_and_schemas(folder: Path) -> None:
     """They stand in every list; without the package they do not, and a name that is none is refused with the others."""
     wanted = {

@@ -73,6 +73,7 @@ def test_what_covers_a_part_of_a_fruit_does_not_move_its_middle(share):
     assert seen == pytest.approx([0.0, 0.0, 1.1], abs=8e-3)
 
 
+@pytest.mark.slow
 def test_in_leaves_circles_find_more_and_miss_the_same_fruit_by_less():
     rng = np.random.default_rng(3)
     count, both = np.zeros(2, dtype=int), []

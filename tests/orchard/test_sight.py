@@ -298,6 +298,7 @@ def test_a_single_detector_reads_both_pictures():
     assert seen.pictures == 1 and seen.found.any() and np.abs(seen.error[seen.found]).max() < 0.06
 
 
+@pytest.mark.slow
 def test_sightings_count_the_fruit_that_is_wanted_and_a_table_is_made_of_them():
     for seen in some_sightings():
         assert seen.tree.tolist() == [0] * 4 + [1] * 4 + [2] * 4 and seen.pictures == 3

@@ -198,6 +198,7 @@ print(env.render().shape, drawer_name())
 """
 
 
+@pytest.mark.slow
 def test_an_environment_is_drawn_plainly_where_that_is_asked_for():
     code = f"{DRAWN}\nimport sys\nprint('mujoco' in sys.modules)"
     plain = os.environ | {"PICKENV_PLAIN_PICTURES": "1"}

@@ -195,6 +195,7 @@ def equilibrium(bare, q, slides, rng):
     return data.xpos[tool].copy(), data.xmat[tool].reshape(3, 3).copy()
 
 
+@pytest.mark.slow
 def test_slides_rest_where_mujoco_finds_them_in_their_springs():
     """Twenty poses on a base of any attitude, pads anywhere around the axis: within a tenth of a micrometre."""
     rng = np.random.default_rng(19)

@@ -265,6 +265,7 @@ def test_reflectors_are_calibrated_from_anywhere(qiao):
         calibrate(qiao, wrong.select(train), test=wrong.select(test), choices=PLAIN)
 
 
+@pytest.mark.slow
 def test_draw_wires_are_calibrated(qiao):
     rng = np.random.default_rng(0)
     joints = random_joints(qiao.nominal, 200, rng)

@@ -91,6 +91,7 @@ def test_any_row_with_any_fault_is_named_at_length(tracker, row, fault, column):
     assume(check(tracker, row, fault, column) is not None)
 
 
+@pytest.mark.slow
 def test_held_out_rows_are_named_as_the_others_are(tracker):
     held_out = next(row for row in range(12) if check(tracker, row, "outlier", "y_mm", page=False))
     assert check(tracker, held_out, "outlier", "y_mm")

@@ -82,6 +82,7 @@ def test_an_arm_of_unknown_size_is_said_to_be_one(arm: Arm, kind: str) -> None:
     assert kind not in UNSIZED or result.quality.grade == "with care"
 
 
+@pytest.mark.slow
 def test_an_inclinometer_says_nothing_of_positions(arm: Arm, tmp_path: Path) -> None:
     _, data = start_and_truth("tilt of two", arm.nominal, 80, np.random.default_rng(4))
     result = calibrate(arm, data, choices=PLAIN)
@@ -308,6 +309,7 @@ def judged_by_blocks(arm: Arm, data: DistanceObservations) -> Result:
     return calibrate(arm, data, split="blocked", choices=PLAIN)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_draw_wire_as_published_finds_the_arm(arm: Arm, seed: int) -> None:
     """Blocked held-out errors are those of the true parameters, which rounded joints make larger than the noise."""

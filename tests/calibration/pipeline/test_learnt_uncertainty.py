@@ -149,6 +149,7 @@ def test_exports_write_the_parameters_own_uncertainty_which_a_residual_does_not_
     assert (mine < 0.5 * theirs).all()
 
 
+@pytest.mark.slow
 def test_arms_of_the_twin_err_about_the_corrected_arm_as_the_measured_one_does(dynamic: Plant) -> None:
     rng = np.random.default_rng(0)
     rows = simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, 300, rng), rng)

@@ -111,6 +111,7 @@ def test_rows_of_one_set_up_stay_one_however_they_are_parted(
         assert said(arm, halves(data, key)) == [((0, 1), ())]
 
 
+@pytest.mark.slow
 def test_two_series_of_a_real_arm_are_two_stations_and_equal_to_the_flagged_run(data_folder: Path) -> None:
     """A UR10 before and after the tracker was moved by three metres; the target stayed."""
     arm, days = load_arm("ur10"), []
@@ -153,6 +154,7 @@ def test_of_a_simulated_plant_days_are_one_set_up_or_as_many_as_there_were(moved
         assert [each["files"] for each in result.set_ups] == [["day0.csv", "day1.csv"]]
 
 
+@pytest.mark.slow
 def test_the_command_prints_set_ups_with_their_files_and_keeps_them(ur5: Arm, true: Geometry, tmp_path: Path) -> None:
     """Without a word of it, and equal to the run that says so; a file to judge by finds its set-up by itself."""
     days = [day(true, 1), day(true, 2, THERE), day(true, 3)]
@@ -176,6 +178,7 @@ def test_the_command_prints_set_ups_with_their_files_and_keeps_them(ur5: Arm, tr
     assert isinstance(both.test, Stacked) and [each.number for each in both.test.stations] == [1, 2]
 
 
+@pytest.mark.slow
 def test_a_page_names_all_files_and_has_no_change_from_an_arbitrary_start(ur5: Arm, true: Geometry) -> None:
     """Where the second set-up stands is told from the first one; its frames have no nominal to differ from."""
     result = calibrate(ur5, [day(true, 1), day(true, 3), day(true, 2, THERE)], choices=PLAIN)
@@ -187,6 +190,7 @@ def test_a_page_names_all_files_and_has_no_change_from_an_arbitrary_start(ur5: A
     assert ">base2_x<" not in page
 
 
+@pytest.mark.slow
 def test_series_of_one_table_are_read_as_files(ur5: Arm, true: Geometry, tmp_path: Path) -> None:
     """Three days, row by row in turns, end where three files end; each may also be read alone."""
     days = [day(true, 1), day(true, 2, THERE), day(true, 3)]
@@ -279,6 +283,7 @@ def test_rows_of_all_stations_are_seen_from_the_first(ur5: Arm, true: Geometry, 
         np.testing.assert_allclose(np.linalg.norm(left[60:], axis=1), np.linalg.norm(own, axis=1), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_residuals_and_the_counted_share_run_over_all_stations(ur5: Arm, true: Geometry) -> None:
     """A wave over the first joints, in the robot's own axes, is learnt from two stations as from one."""
     runs = {}

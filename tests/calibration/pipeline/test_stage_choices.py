@@ -96,6 +96,7 @@ def verdict(name, blocked=1e-3, inner=1e-3, accepted=True):
     return GateVerdict(name, blocked, 4e-3, None, None, inner, 5e-3, accepted, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "asked"), [(39, False), (40, True)])
 def test_and_to_judge_residual_models(identified, rows, asked, monkeypatch):
     calls = []

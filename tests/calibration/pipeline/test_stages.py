@@ -93,6 +93,7 @@ def test_a_result_is_used_saved_exported_and_shown(dynamic, result, tmp_path, un
         result.export(tmp_path / "arm")
 
 
+@pytest.mark.slow
 def test_wires_take_the_same_way_and_have_a_page(qiao, tmp_path):
     rng = np.random.default_rng(0)
     joints = random_joints(qiao.nominal, 120, rng)

@@ -93,6 +93,7 @@ def test_stiffnesses_are_found_within_a_tenth_and_within_their_uncertainty(resul
     assert "Stiffnesses of the joints" in text and "not told, at least" in text
 
 
+@pytest.mark.slow
 def test_the_held_out_error_is_that_of_the_same_terms_fitted_by_hand(data):
     """Rows and priors minimised by SciPy; the same terms leave twice as much without beta (0.13 and 0.06 mm).
 

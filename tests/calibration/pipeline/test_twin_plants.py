@@ -187,6 +187,7 @@ def test_what_was_not_identified_is_drawn_without_moving_what_was_measured():
     assert np.abs(seen - plant.tool_pose(data.joints).position).max() < 3e-6
 
 
+@pytest.mark.slow
 def test_with_priors_what_rows_do_not_tell_is_drawn_as_wide_as_was_expected():
     """Nothing is dropped then: the posterior is as wide as the prior there, and moves nothing that was measured."""
     data = simulated_tracker(load_plant("geometry_only"), draw(QIAO, 40), np.random.default_rng(0))
@@ -365,6 +366,7 @@ def test_what_stays_out_is_said():
     assert not any("base and tool" in note for note in told) and any(ASSUMED[2] in note for note in told)
 
 
+@pytest.mark.slow
 def test_a_result_makes_its_plant_and_its_arms():
     rng = np.random.default_rng(12)
     data = simulated_tracker(load_plant("qiao2026"), random_joints(QIAO.nominal, 60, rng), rng)

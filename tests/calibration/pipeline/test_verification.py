@@ -182,6 +182,7 @@ def test_a_frame_that_was_not_found_anew_may_have_moved_too(
     assert verify(result.calibration, seen(true, 12, base, tool), FRAMES).status == "still good"
 
 
+@pytest.mark.slow
 def test_expected_errors_are_those_found_whatever_the_rows(result: Result, true: Geometry) -> None:
     """Six rows, or ten: over stations the mean square found is the one expected, within a quarter."""
     ratio = []
@@ -302,6 +303,7 @@ def test_zeros_that_drifted_are_told_where_a_residual_was_learnt_that_turns_the_
     assert said.status == "drifted" and "the joints' zeros explain it" in said.reason
 
 
+@pytest.mark.slow
 def test_what_was_learnt_is_no_part_of_where_the_instrument_stands(ur5: Arm, true: Geometry) -> None:
     """Waves of two millimetres over the joints are the arm's own, and the frames do not take up their mean."""
 
@@ -319,6 +321,7 @@ def test_what_was_learnt_is_no_part_of_where_the_instrument_stands(ur5: Arm, tru
         assert moved.calibrated.rms < 1.2 * stayed.calibrated.rms
 
 
+@pytest.mark.slow
 def test_zeros_that_drifted_are_told_wherever_the_instrument_stands(ur5: Arm, true: Geometry) -> None:
     """The residual, two millimetres of waves, was learnt in the axes of the base, which another station turns."""
 
@@ -479,6 +482,7 @@ def along_a_line(geometry: Geometry, rows: int) -> np.ndarray:
     return solution.joints
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["positions", "poses"])
 def test_frames_that_a_line_at_one_attitude_does_not_tell_stay_where_they_were(
     request: pytest.FixtureRequest, true: Geometry, poses: bool
@@ -563,6 +567,7 @@ RIGHT = {
 """Elsewhere a calibration may well be as good as promised; then it is said that it was not measured there."""
 
 
+@pytest.mark.slow
 def test_of_sixty_pairs_at_most_three_words_are_wrong(ur5: Arm) -> None:
     """Twelve calibrated arms, each with five days of rows; the seeds were fixed before anything was looked at."""
     said = {seed: words_of_a_pair(ur5, seed) for seed in range(12)}

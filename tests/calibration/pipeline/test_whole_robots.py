@@ -89,6 +89,7 @@ def held_out(result: Result) -> Array:
     return np.array([errors["nominal_rms_mm"], errors["best_rms_mm"]])
 
 
+@pytest.mark.slow
 def test_two_arms_on_one_torso_are_one_fit(tmp_path: Path) -> None:
     two_arms(tmp_path, 1)
     result = calibrated(tmp_path, ARMS)
@@ -102,6 +103,7 @@ def test_two_arms_on_one_torso_are_one_fit(tmp_path: Path) -> None:
     assert sum(name.startswith("tool2_") for name in names) == 6
 
 
+@pytest.mark.slow
 def test_other_rows_of_a_scene_are_judged_where_they_were_seen(tmp_path: Path) -> None:
     two_arms(tmp_path, 1)
     names, columns = [], [tmp_path / f"{link}.toml" for link in ARMS]
@@ -131,6 +133,7 @@ def test_other_rows_of_another_target_are_refused(tmp_path: Path) -> None:
         pickenv.calibrate(arm, [left, right], test=[other])
 
 
+@pytest.mark.slow
 def test_one_table_says_row_by_row_what_saw_what(tmp_path: Path) -> None:
     """One table of both arms' balls ends where two files end, to the bit; rows of another sensor are not read."""
     two_arms(tmp_path, 1)
@@ -170,6 +173,7 @@ def test_one_table_says_row_by_row_what_saw_what(tmp_path: Path) -> None:
             calibrated(tmp_path, ["all"])
 
 
+@pytest.mark.slow
 def test_an_inclinometer_on_a_middle_link_is_one_more_file(tmp_path: Path) -> None:
     truth = two_arms(tmp_path, 8)
     rng, joints = np.random.default_rng(9), joints_of(truth, "left", "right")
@@ -249,6 +253,7 @@ def test_parts_within_tolerance_are_expected_however_skew_the_axes_are(tmp_path:
     assert np.mean(far) <= 0.05
 
 
+@pytest.mark.slow
 def test_a_camera_that_was_mounted_anew_is_another_series_of_its_table(tmp_path: Path) -> None:
     """Few views in two series, whose views have equal numbers; each is held out once, and each has its own places."""
     rng = np.random.default_rng(3)
@@ -297,6 +302,7 @@ def test_a_later_day_tells_which_part_of_a_robot_changed(
         verify(result.calibration, rows, ("base",))
 
 
+@pytest.mark.slow
 def test_a_wrist_that_is_left_out_leaves_the_other_as_it_was(tmp_path: Path) -> None:
     two_arms(tmp_path, 4)
     both, one = (calibrated(tmp_path, files, fit="auto", terms="none") for files in (ARMS, ARMS[:1]))
@@ -363,6 +369,7 @@ def test_links_of_a_single_chain_are_refused(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cube", [False, True], ids=["a board", "a cube of tags"])
 def test_a_head_camera_watches_the_wrist_of_its_own_robot(tmp_path: Path, cube: bool) -> None:
     rng = np.random.default_rng(6)
@@ -409,6 +416,7 @@ def two_cameras(folder: Path, seed: int, most: int) -> tuple[Result, float, floa
     return result, before, after
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [0, 7], ids=["a board", "3 to 7 points of a dodecahedron"])
 def test_two_cameras_and_a_tracker_are_one_fit(tmp_path: Path, most: int) -> None:
     result, before, after = two_cameras(tmp_path, 7, most)

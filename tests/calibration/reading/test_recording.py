@@ -146,6 +146,7 @@ def test_intervals_hold_of_offset_and_rate(tmp_path: Path) -> None:
     assert size.max() > 0.5  # the uncertainties are not just large
 
 
+@pytest.mark.slow
 def test_rests_are_the_rows_that_a_person_would_write(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     true, way = erring(rng), resting(rng, 40)
@@ -237,6 +238,7 @@ def test_contacts_have_no_recording(tmp_path: Path) -> None:
         read(file)
 
 
+@pytest.mark.slow
 def test_parquet_reads_as_csv(tmp_path: Path) -> None:
     pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     rng = np.random.default_rng(2)

@@ -79,6 +79,7 @@ def test_noise_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
     assert all("no gain" in verdict.reason for verdict in gate)
 
 
+@pytest.mark.slow
 def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(1)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (80, 6))

@@ -121,6 +121,7 @@ def test_the_gaussian_process_is_the_textbooks() -> None:
         assert slope[k] == pytest.approx((ahead - behind) / 2e-5, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 1, 3, 4))])
 def test_the_papers_arm_keeps_a_few_hundredths_of_a_millimetre(dynamic: Plant, seed: int) -> None:
     """A search that began on a third of the rows left 0.36 and 0.35 mm at seeds 2 and 4."""
@@ -136,6 +137,7 @@ def test_its_likelihood_is_no_worse_than_scikit_learns(dynamic: Plant) -> None:
     assert np.all(likelihoods(with_all_rows(dynamic, 2), arm) <= np.array(theirs) + LIKELIHOOD_TOLERANCE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("output", "nats"), [(1, 10.0), pytest.param(3, 1.0, marks=pytest.mark.slow)])
 def test_more_starts_find_optima_that_one_misses_and_never_lose_one(
     dynamic: Plant, monkeypatch: pytest.MonkeyPatch, output: int, nats: float

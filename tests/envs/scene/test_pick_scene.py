@@ -289,6 +289,7 @@ def test_impossible_arguments_are_refused_in_one_sentence(arguments, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_policy_that_sees_makes_up_for_the_arm_but_not_for_its_own_camera():
     def lateral(script, obs_type, camera_mm, **where):
         env = made(plant="coarse:so101", obs_type=obs_type, camera_mm=camera_mm, cameras=["wrist"], pixels=96, **where)

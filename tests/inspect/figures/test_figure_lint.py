@@ -149,6 +149,7 @@ def test_the_dark_colours_are_those_of_pages() -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_figures_of_a_demonstration_are_sound(demo_run: Run) -> None:
     assert faults(drawings_of(demo_run)) == []
 
