@@ -66,8 +66,7 @@ def check_limit(name: str, value: Any, quantity: str) -> None:
         InputError: If the value is refused. The message states the limits and their reason.
     """
     least, most, why = LIMITS[quantity]
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not least <= value <= most:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
         limits = f"{least:_.12g} to {most:_.12g}".replace("_", " ")
         raise InputError(f"{name} is {shown(value)}; give {limits}: {why}")
 
