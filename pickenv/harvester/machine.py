@@ -360,12 +360,11 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
         raise InputError(f"a slave spacing of {between} m is impossible; give a number above zero")
     slide, telescope = accelerations.slave_slides
     slave = load_arm(head.slave)
-    shifts = (np.arange(int(count)) - (int(count) - 1) / 2) * between
     machine = Machine(
         master=load_arm(head.master),
         slaves=tuple(
             replace(slave, nominal=shifted(slave.nominal, shift), true=slave.true and shifted(slave.true, shift))
-            for shift in shifts.tolist()
+            for shift in ((np.arange(int(count)) - (int(count) - 1) / 2) * between).tolist()
         ),
         spacing=between,
         master_start=np.zeros(3),

@@ -141,10 +141,8 @@ def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) ->
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
-@cache
-def load_lab() -> Lab:
-    """Return the table [lab] of the picking file (Li's experiment); the file is read only once."""
-    return read_toml(Lab, PICKING_FILE, section="lab")
+load_lab = cache(partial(read_toml, Lab, PICKING_FILE, section="lab"))
+"""Return the table [lab] of the picking file (Li's experiment); the file is read only once."""
 
 
 def lab_zone(canopy: trees.Canopy) -> Array:
@@ -210,9 +208,8 @@ class Grid:
     overlap: Annotated[float, MM.not_negative]
 
 
-def load_grid(path: str | Path = STRATEGY_FILE) -> Grid:
-    """Read the table [zones] of a strategy file."""
-    return read_toml(Grid, path, section="zones")
+load_grid = partial(read_toml, Grid, STRATEGY_FILE, section="zones")
+"""Return the table [zones] of the strategy file."""
 
 
 def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:
@@ -319,8 +316,7 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
         printed = method == "as_printed"
         span = float(machine.offsets[-1]) if machine.arms > 1 else 0.0  # the paper's k0: middle to side arm
         heading = pick_heading(fruit, span, printed)
-        nearest = np.hypot(fruit[:, 0], fruit[:, 1]).min()
-        reach = float(nearest - machine.a4 - machine.slave_home[2])  # eq (9)
+        reach = float(np.hypot(fruit[:, 0], fruit[:, 1]).min() - machine.a4 - machine.slave_home[2])  # eq (9)
         stroke = float(machine.slave.upper[0] - machine.slave.lower[0])
         height = float(fruit[:, 2].min()) + stroke / 2  # eq (8)
         if method == "corrected":

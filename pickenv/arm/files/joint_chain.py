@@ -136,8 +136,7 @@ def link_origins(geometry: Geometry) -> list[Pose]:
     """
     origins, before = [], geometry.base
     for i in range(geometry.links):
-        angles = geometry.alpha[i], geometry.beta[i], geometry.theta[i]
-        turn = Rotation.from_euler("XYZ", angles).as_matrix()
+        turn = Rotation.from_euler("XYZ", [geometry.alpha[i], geometry.beta[i], geometry.theta[i]]).as_matrix()
         local = np.array([geometry.a[i], 0.0, 0.0]) + geometry.d[i] * turn[:, 2]
         origins.append(behind(before, Pose(local, turn)))
         before = identity_pose()

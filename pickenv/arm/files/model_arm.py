@@ -54,9 +54,8 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
     body = int(model.site_bodyid[number])
     while body > 0:
         first = int(model.body_jntadr[body])
-        chain += reversed(range(first, first + int(model.body_jntnum[body])))
+        chain = [*range(first, first + int(model.body_jntnum[body])), *chain]
         body = int(model.body_parentid[body])
-    chain.reverse()
     names = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}": joint for joint in chain}
     selection = tuple(joints) if joints is not None else tuple(names)
     if lost := [name for name in selection if name not in names]:

@@ -48,9 +48,7 @@ def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
     """
     if m is math:
         return low if value < low else high if value > high else value
-    if m is np:
-        return m.minimum(m.maximum(value, low), high)
-    return m.clip(value, low, high)
+    return m.minimum(m.maximum(value, low), high) if m is np else m.clip(value, low, high)
 
 
 def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:

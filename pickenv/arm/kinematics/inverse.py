@@ -114,7 +114,6 @@ def inverse(
     first = np.broadcast_to(first, (*shape, n)).reshape(-1, n).clip(geometry.lower, geometry.upper)
     spread = qmc.Halton(n, scramble=False).random(restarts + 1)[1:] * 2 - 1 if restarts else np.empty((0, n))
     parts = slice(0, 3) if position_only else WHOLE
-    attitude_limit = np.inf if position_only else attitude_tolerance
 
     def judge(goals: Pose, q: Array) -> InverseSolution:
         """Return joints ``(K, n)`` as an `InverseSolution` for K goals, with the errors that they leave."""
@@ -122,7 +121,7 @@ def inverse(
         impossible = task_space.noncompensable_error(geometry, q, error, rank_tolerance)
         parts = error[:, :3], error[:, 3:], impossible[:, 3:], (error - impossible)[:, 3:]
         distance, attitude, lost, possible = (np.linalg.norm(part, axis=-1) for part in parts)
-        reached = (distance <= position_tolerance) & (possible <= attitude_limit)
+        reached = (distance <= position_tolerance) & (position_only | (possible <= attitude_tolerance))
         return InverseSolution(q, reached, distance, attitude, lost)
 
     solution = judge(goals, _descend(geometry, goals, first, rank_tolerance, max_iterations, parts))
