@@ -283,10 +283,8 @@ class Timetable:
 
 
 Hold = Callable[[int, int, float, Timetable], float]
-"""Rule of waiting: a function that gives the time at which an arm starts its excursion, s.
-
-Its arguments are the arm, its fruit, the time at which it is ready (s), and the timetable of earlier picks.
-"""
+"""Rule of waiting: a function that gives the time at which an arm starts its excursion, s. Its arguments are the arm,
+its fruit, the time at which it is ready (s), and the timetable of earlier picks."""
 
 
 def timetable(work: Work, plan: Plan, *, hold: Hold | None = None) -> Timetable:

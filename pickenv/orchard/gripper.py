@@ -165,9 +165,7 @@ def misalignment(
     offset, axis = checks.points("the offset", offset), checks.directions("the tool axis", tool_axis)
     axial = np.einsum("...i,...i->...", offset, axis)
     lateral = np.linalg.norm(offset - axial[..., None] * axis, axis=-1)
-    if wanted_axis is None:
-        return lateral, axial, np.zeros_like(axial)
-    ideal = checks.directions("the wanted axis", wanted_axis)
+    ideal = axis if wanted_axis is None else checks.directions("the wanted axis", wanted_axis)
     angle = np.arctan2(np.linalg.norm(np.cross(axis, ideal), axis=-1), np.einsum("...i,...i->...", axis, ideal))
     return lateral, axial, np.broadcast_to(angle, np.broadcast_shapes(angle.shape, axial.shape))
 

@@ -152,10 +152,8 @@ GRIPPERS = re.compile("finger|gripper|jaw|knuckle|thumb|claw|pinch|grasp", re.IG
 """Pattern of words by which the names of gripper joints are recognised."""
 
 FLANGES = ("tool0", "flange", "attachment_site")
-"""Names of the flange by convention, most specific first: ROS-Industrial, REP 199, MuJoCo Menagerie.
-
-A link's name may have a prefix before them.
-"""
+"""Names of the flange by convention, most specific first: ROS-Industrial, REP 199, MuJoCo Menagerie. A link's name may
+have a prefix before them."""
 
 SIDE = 2
 """A branch (wheels, a head, a pinion) is ignored if another branch has at least `SIDE` times as many joints."""

@@ -25,10 +25,8 @@ from pickenv.arm.kinematics.task_space import pose_error
 from pickenv.base import InputError
 
 STEP_LIMIT = 0.4
-"""Largest Gauss-Newton step of a joint, as a share of its half-range, or of 1 rad or 1 m if that is less.
-
-Within this limit the linearisation by the Jacobian is valid.
-"""
+"""Largest Gauss-Newton step of a joint, as a share of its half-range, or of 1 rad or 1 m if that is less. Within this
+limit the linearisation by the Jacobian is valid."""
 
 NUMERIC_TOLERANCE = 1e-6
 """Smallest relative singular value that is used; directions with smaller singular values are always cut off."""
@@ -41,10 +39,8 @@ WHOLE = slice(0, 6)
 """Components of the pose error that are reduced to zero: position and attitude."""
 
 TURN = 0.5
-"""Weight of a rotation matrix's entries in the search for the nearest sample poses.
-
-Positions, divided by the largest standard deviation of the sampled tool positions, have the weight 1.
-"""
+"""Weight of a rotation matrix's entries in the search for the nearest sample poses. Positions, divided by the largest
+standard deviation of the sampled tool positions, have the weight 1."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -218,10 +218,8 @@ SAMPLES = 2**10
 """Number of poses from which a joint's largest gravity torque is computed."""
 
 LEAST_TORQUE = 0.01
-"""Lower bound of the largest torque for computing a joint's stiffness and preload.
-
-It is a share of the largest torque of all joints of the same type (revolute or prismatic).
-"""
+"""Lower bound of the largest torque for computing a joint's stiffness and preload. It is a share of the largest torque
+of all joints of the same type (revolute or prismatic)."""
 
 
 def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
