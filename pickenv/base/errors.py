@@ -20,12 +20,11 @@ class InputError(ValueError):
     """
 
 
-PAYLOAD = "arms that pick, and those calibrated here, carry less"
 COST = "more takes days and tells no more"
 MEMORY = "more does not fit into a computer's memory"
 
 LIMITS: Mapping[str, tuple[float, float, str]] = {
-    "payload_kg": (0.0, 300.0, PAYLOAD),
+    "payload_kg": (0.0, 300.0, "arms that pick, and those calibrated here, carry less"),
     "temperature_K": (-200.0, 200.0, "no arm works that much cooler or warmer than it was calibrated"),
     "torque_Nm": (-1e5, 1e5, "no joint of an arm bears more"),
     "scatter_mm": (1e-6, 100.0, "no instrument scatters less, and one that scatters more measures no arm"),

@@ -175,7 +175,7 @@ def statistic_interval(
     return ends[0] + shift, ends[1] + shift
 
 
-def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
+def norm_interval(vectors: ArrayLike) -> Ends | None:
     """Return the 95 % interval of the norm of the mean of independent vectors ``(n, k)``, such as a pose's accuracy.
 
     The ends come from the jackknife (`statistic_interval`). The norm of a sample mean is above zero although the
@@ -184,15 +184,13 @@ def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
 
     Args:
         vectors: One vector per cycle, fruit or arm, in any unit.
-        least: Smallest number of vectors for which there is an interval; more than k.
 
     Returns:
-        Lower and upper end, in the unit of the vectors. None if there are fewer vectors than ``least``, or all
+        Lower and upper end, in the unit of the vectors. None if there are fewer vectors than `LEAST`, or all
         pseudo-values of the jackknife are equal.
     """
     x = np.asarray(vectors, dtype=float)
-    ends = statistic_interval(x, lambda some: np.linalg.norm(some.mean(axis=0)), least)
-    if ends is None:
+    if (ends := statistic_interval(x, lambda some: np.linalg.norm(some.mean(axis=0)))) is None:
         return None
     (n, k), mean = x.shape, x.mean(axis=0)
     t_squared = n * mean @ np.linalg.pinv(np.atleast_2d(np.cov(x.T))) @ mean

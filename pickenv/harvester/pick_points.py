@@ -260,10 +260,8 @@ def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
         fruit: Positions in the base frame, m, (n, 3).
         printed: Whether to take eq (7) as printed.
     """
-    if printed:
-        angle = np.arctan(fruit[:, 0] / fruit[:, 1])
-        return int(angle.argmax()), int(angle.argmin())
-    bearing = np.arctan2(fruit[:, 0], -fruit[:, 1])
+    x, y = fruit[:, 0], fruit[:, 1]
+    bearing = np.arctan(x / y) if printed else np.arctan2(x, -y)
     return int(bearing.argmax()), int(bearing.argmin())
 
 

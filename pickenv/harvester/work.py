@@ -470,16 +470,15 @@ def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: 
     return np.asarray(profile(time, 1.0, speed[lead] / abs(moves[lead]), acceleration[lead] / abs(moves[lead])))
 
 
-def closest_approach(machine: Machine, work: Work, times: Timetable, step: float = 0.1) -> float:
+def closest_approach(machine: Machine, work: Work, times: Timetable) -> float:
     """Return the least distance between centre lines of two arms in a timetable, m; inf with one arm or no picks.
 
     Args:
         machine: The machine.
         work: Scheduling problem of the zone.
-        times: The timetable.
-        step: Time between two samples, s.
+        times: The timetable, which is sampled every 0.1 s.
     """
     if machine.arms < 2 or not len(times.arm):
         return float("inf")
-    at = np.arange(0.0, times.makespan + step, step)
+    at = np.arange(0.0, times.makespan + 0.1, 0.1)
     return float(arm_distances(machine, slave_joints_at(machine, work, times, at)).min())

@@ -60,8 +60,6 @@ STIFFNESS, DAMPING = 2000.0, 200.0
 RODS = "masses"
 """Name of the text element that marks a written file in which links have masses of rods, which are not read back."""
 
-TOOL_SITE = "tool"
-
 
 def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
     """Return a MuJoCo model of an arm as text; its site "tool" has the tool's pose.
@@ -107,7 +105,7 @@ def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
         else:
             law = numbers_text([0.0, ratio, 0.0, 0.0, 0.0])
             ElementTree.SubElement(couplings, "joint", joint1=joint, joint2=title, polycoef=law)
-    ElementTree.SubElement(body, "site", {"name": TOOL_SITE, "size": "0.01", **_placed(geometry.tool)})
+    ElementTree.SubElement(body, "site", {"name": "tool", "size": "0.01", **_placed(geometry.tool)})
     root.append(drives)
     if len(couplings):
         root.append(couplings)

@@ -335,17 +335,13 @@ class Compiled:
         self._loops = [FUNCTION(address) for address in addresses]
         self._between: dict[str, Array] = {}
 
-    def run(self, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
-        """Compute the outputs from the inputs.
+    def bound(self, arrays: Mapping[str, NDArray[Any]], count: int) -> Callable[[], None]:
+        """Return a function without arguments that computes the outputs from the inputs, in these arrays at each call.
 
         Args:
             arrays: Input and output arrays by name, ``(rows, count)``, C-contiguous; the outputs are overwritten.
             count: Number of poses.
         """
-        self.bound(arrays, count)()
-
-    def bound(self, arrays: Mapping[str, NDArray[Any]], count: int) -> Callable[[], None]:
-        """Return a function without arguments that does what `run` does, with these arrays at each call."""
         if self._calls and (not self._between or self._between["given0"].shape[1] != count):
             for i, (_, values, rows) in enumerate(self._calls):
                 self._between[f"given{i}"] = np.empty((len(values), count))
@@ -378,7 +374,7 @@ def on_rows(formula: Callable[[Any, list[Traced]], Scalars], inputs: int, count:
 
     def run(rows: Array) -> Array:
         found = np.empty((len(results), len(rows)))
-        code.run({"given": np.ascontiguousarray(rows.T), "found": found}, len(rows))
+        code.bound({"given": np.ascontiguousarray(rows.T), "found": found}, len(rows))()
         return found.T
 
     return run
