@@ -8,7 +8,7 @@ Moves have trapezoidal speed profiles within limits of speed and acceleration (F
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
@@ -492,5 +492,4 @@ def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
 
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
     """Return the ranges of x, y and z, base frame, m, where points that cups reach lie densely (Li 2016, Fig. 8)."""
-    workspace = read_toml(WorkspaceTable, SHIPPED, section="workspace")
-    return workspace.dense_x, workspace.dense_y, workspace.dense_z
+    return astuple(read_toml(WorkspaceTable, SHIPPED, section="workspace"))
