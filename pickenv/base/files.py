@@ -424,11 +424,10 @@ def _paths(named: Named) -> Iterator[Path]:
 def _check_name(path: Path) -> None:
     """Raise an error if an output's name is too long or names a folder; to be called before hours of computing."""
     try:
-        folder = path.exists() and path.is_dir()
+        if path.exists() and path.is_dir():
+            raise InputError(f"cannot write {path}: it is a folder; give the name of a file")
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror}; give another name") from error
-    if folder:
-        raise InputError(f"cannot write {path}: it is a folder; give the name of a file")
 
 
 def _same(one: Path, other: Path) -> bool:

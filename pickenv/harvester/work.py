@@ -84,8 +84,7 @@ def pairs_of(arms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
     The pairs have the order of ``numpy.triu_indices(arms, 1)``.
     """
-    first, second = np.triu_indices(arms, 1)
-    return first, second
+    return np.triu_indices(arms, 1)
 
 
 def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:

@@ -35,9 +35,6 @@ NUMERIC_TOLERANCE = 1e-6
 POOL, NEAREST, DAMPED_STEPS = 2**13, 8, 40
 """Number of sample poses to choose starts from, number of starts per restart, and number of damped steps per start."""
 
-WHOLE = slice(0, 6)
-"""Components of the pose error that are reduced to zero: position and attitude."""
-
 TURN = 0.5
 """Weight of a rotation matrix's entries in the search for the nearest sample poses. Positions, divided by the largest
 standard deviation of the sampled tool positions, have the weight 1."""
@@ -109,7 +106,7 @@ def inverse(
         raise ValueError("the start is not finite; give finite joints (rad or m)")
     first = np.broadcast_to(first, (*shape, n)).reshape(-1, n).clip(geometry.lower, geometry.upper)
     spread = qmc.Halton(n, scramble=False).random(restarts + 1)[1:] * 2 - 1 if restarts else np.empty((0, n))
-    parts = slice(0, 3) if position_only else WHOLE
+    parts = slice(0, 3 if position_only else 6)  # the components of the pose error that are reduced to zero
 
     def judge(goals: Pose, q: Array) -> InverseSolution:
         """Return joints ``(K, n)`` as an `InverseSolution` for K goals, with the errors that they leave."""
@@ -127,10 +124,9 @@ def inverse(
         if not open_.size:
             break
         some = Pose(goals.position[open_], goals.rotation[open_])
-        begin = solution.joints[open_]
+        begin, tolerance = solution.joints[open_], min(rank_tolerance, NUMERIC_TOLERANCE)
         if offset is not None:
-            begin = np.broadcast_to(middle + 0.9 * half * offset, begin.shape)
-        tolerance = rank_tolerance if offset is not None else min(rank_tolerance, NUMERIC_TOLERANCE)
+            begin, tolerance = np.broadcast_to(middle + 0.9 * half * offset, begin.shape), rank_tolerance
         new = judge(some, _descend(geometry, some, begin, tolerance, max_iterations, parts))
         better = new.reached | ((_cost(new) < _cost(solution)[open_]) & (offset is not None))
         solution.joints[open_[better]] = new.joints[better]
