@@ -338,8 +338,7 @@ def searched(machine: Machine, fruit: Array) -> Array:
     low, high = machine.master.nominal.lower, machine.master.nominal.upper
     farthest = high[2] + machine.a4 + machine.slave.upper[2] + machine.a2 + np.abs(machine.offsets).max()
     near = np.hypot(fruit[:, 0], fruit[:, 1]) <= farthest
-    if near.any():  # fruit that no arm could ever reach must not pull the pick point away
-        fruit = fruit[near]
+    fruit = fruit[near] if near.any() else fruit  # what no arm could ever reach must not pull the pick point away
     heights = _heights(machine, fruit)
     bottom, top = machine.slave.lower[0], machine.slave.upper[0]
     window = np.abs(fruit[:, 2] - machine.d1 - heights[:, None] - (top + bottom) / 2)  # (k, n)

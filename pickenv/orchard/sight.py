@@ -514,8 +514,7 @@ def picture(
         looks: Number of images that are averaged, which reduces only the sensor's noise.
     """
     camera, eye, looking = eyes.camera, left_eye(eyes.camera, view), view[1]
-    if leaves is None:
-        leaves = turned_leaves(np.zeros((0, 3)), eyes.look, rng)
+    leaves = turned_leaves(np.zeros((0, 3)), eyes.look, rng) if leaves is None else leaves
     places = camera_frame(leaves.places, eye, looking)
     half = np.array(camera.image) / 2 / camera.focal_length
     edge = np.array([camera.baseline + eyes.look.leaf_length, eyes.look.leaf_length])

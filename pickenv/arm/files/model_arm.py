@@ -201,8 +201,7 @@ def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:
             [frame_of(Pose(data.xpos[body], data.xmat[body].reshape(3, 3))) for body in numbers]
             for numbers in (model.body_parentid[bodies], bodies)
         )
-        parents = [above[0], *map(frame_within, links[:-1], above[1:])]
-        return parents, list(map(frame_within, links, poses))
+        return [above[0], *map(frame_within, links[:-1], above[1:])], list(map(frame_within, links, poses))
 
     above, within = stands(model.qpos0[places])
     # At other joints bodies stand in their links as before, or the links are not the model's.

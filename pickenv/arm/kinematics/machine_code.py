@@ -84,9 +84,7 @@ class Trace:
             operands: Indices in the trace, from 0, of the operations whose results are its operands.
             detail: Array name and row (from 0) of an input, or value of a constant.
         """
-        if name in COMMUTATIVE and operands[0] > operands[1]:
-            operands = operands[::-1]
-        operation = Operation(name, kind, operands, detail)
+        operation = Operation(name, kind, tuple(sorted(operands)) if name in COMMUTATIVE else operands, detail)
         if operation not in self._known:
             self._known[operation] = len(self.operations)
             self.operations.append(operation)
@@ -445,8 +443,7 @@ class _Body:
         for number, array, row in goals:
             value, kind = self._values[number], operations[number].kind
             place, memory = self._place(array, row, kind)
-            if kind == FLAG:
-                value = self._new(f"zext {self._type(FLAG)} {value} to {memory}")
+            value = self._new(f"zext {self._type(FLAG)} {value} to {memory}") if kind == FLAG else value
             self.lines.append(f"  store {memory} {value}, ptr {place}, align 1")
 
     def _value(self, operation: Operation) -> str:

@@ -297,9 +297,8 @@ def rods(arm: Arm) -> Load:
     Each rod runs from a joint to the next, or to the tool, with slides in the middle of their range.
     """
     g = arm.nominal
-    middle = np.where(g.prismatic, (g.lower + g.upper) / 2, 0.0)
     after = np.arange(1, g.joints)
-    d = g.d[after] + middle[after]
+    d = g.d[after] + np.where(g.prismatic, (g.lower + g.upper) / 2, 0.0)[after]
     ends = np.stack([g.a[after], -d * np.sin(g.alpha[after]), d * np.cos(g.alpha[after])], axis=-1)
     ends = np.concatenate([ends, g.tool.position[None]])
     mass = np.linalg.norm(ends, axis=-1)

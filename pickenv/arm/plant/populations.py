@@ -361,10 +361,9 @@ def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect
     waves, moments = columns[: layout.sizes[0]], columns[layout.sizes[0] :]
     effects: list[Effect] = []
     if waves:
-        pairs = zip(layout.harmonics, waves[::2], waves[1::2], strict=True)
         terms = (
             Harmonic(joint, _scalar(np.hypot(sine, cosine)), math.tau / order, _scalar(np.arctan2(cosine, sine)))
-            for (joint, order), sine, cosine in pairs
+            for (joint, order), sine, cosine in zip(layout.harmonics, waves[::2], waves[1::2], strict=True)
         )
         effects.append(TransmissionError((0.0,) * arm.nominal.joints, tuple(terms)))
     if moments:
@@ -382,7 +381,6 @@ def _scalar(value: Any) -> Any:
 
 TWIN = "twin"
 TWIN_FORMAT = 1
-"""Version number of the file format."""
 
 REMAKE_TWIN = "run `pickenv twin` to make one of a calibration"
 
