@@ -154,7 +154,10 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
         return *profiles, *vibrations, *rates
 
     def drawn(self, draws: Draws) -> Settling:
-        """Return the vibration of many arms, drawn as in `Effect.drawn`; no structure has a damping ratio above 0.5."""
+        """Return the vibration of many arms, drawn as in `Effect.drawn`.
+
+        Damping ratios are clipped to 0.5, the largest of a structure.
+        """
         modes = super().drawn(draws)
         damping: Any = tuple(np.minimum(zeta, 0.5) for zeta in modes.damping)
         return replace(modes, damping=damping)
