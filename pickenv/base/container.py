@@ -208,8 +208,7 @@ def read_container(
     Raises:
         InputError: If the file is missing, damaged in any byte, too large, of another kind, or of another version.
     """
-    file_kind = f"a {kind} file" if kind else "a file of pickenv"
-    with refusing_damage(path, file_kind, remake):
+    with refusing_damage(path, f"a {kind} file" if kind else "a file of pickenv", remake):
         missing = not Path(path).exists()
         content = b"" if missing else _bounded(Path(path), limit)
         container = None if missing or content[-22:-18] == BARE_END else _verified(content, limit)

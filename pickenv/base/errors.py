@@ -20,12 +20,11 @@ class InputError(ValueError):
     """
 
 
-PAYLOAD = "arms that pick, and those calibrated here, carry less"
 COST = "more takes days and tells no more"
 MEMORY = "more does not fit into a computer's memory"
 
 LIMITS: Mapping[str, tuple[float, float, str]] = {
-    "payload_kg": (0.0, 300.0, PAYLOAD),
+    "payload_kg": (0.0, 300.0, "arms that pick, and those calibrated here, carry less"),
     "temperature_K": (-200.0, 200.0, "no arm works that much cooler or warmer than it was calibrated"),
     "torque_Nm": (-1e5, 1e5, "no joint of an arm bears more"),
     "scatter_mm": (1e-6, 100.0, "no instrument scatters less, and one that scatters more measures no arm"),
@@ -66,8 +65,7 @@ def check_limit(name: str, value: Any, quantity: str) -> None:
         InputError: If the value is refused. The message states the limits and their reason.
     """
     least, most, why = LIMITS[quantity]
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not least <= value <= most:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
         limits = f"{least:_.12g} to {most:_.12g}".replace("_", " ")
         raise InputError(f"{name} is {shown(value)}; give {limits}: {why}")
 

@@ -38,9 +38,6 @@ Thing = TypeVar("Thing")
 Progress = Callable[[str, int, int], None]
 """A function that is called with the name of a stage, its number of finished parts, and its number of all parts."""
 
-PIECE = 1 << 20
-"""Number of bytes read at once."""
-
 LARGEST = 1 << 30
 """Largest size of a text file that is read, bytes. The files of pickenv are much smaller."""
 
@@ -60,20 +57,20 @@ def read_text(path: str | Path, kind: str) -> str:
     Raises:
         InputError: If the file is missing, a folder, a device, too large, or not UTF-8 text. The message says which.
     """
-    other, data = "", b""
+    name, other, data = shortened(path, 300), "", b""
     try:
         mode = Path(path).stat().st_mode
         other = "" if stat.S_ISREG(mode) or stat.S_ISFIFO(mode) else "a folder" if stat.S_ISDIR(mode) else "a device"
         if not other:
             with Path(path).open("rb") as file:
-                while len(data) <= LARGEST and (more := file.read(PIECE)):
+                while len(data) <= LARGEST and (more := file.read(1 << 20)):
                     data += more
     except FileNotFoundError as error:
-        raise InputError(f"{_name(path)} does not exist; give a path to {kind}") from error
+        raise InputError(f"{name} does not exist; give a path to {kind}") from error
     except (OSError, ValueError) as error:  # a path of 300 characters, or with a zero byte in it
-        raise InputError(f"cannot read {_name(path)}: {reason_of(error)}; give a path to {kind}") from error
+        raise InputError(f"cannot read {name}: {reason_of(error)}; give a path to {kind}") from error
     if other:
-        raise InputError(f"{_name(path)} is {other}, not a file; give a path to {kind}")
+        raise InputError(f"{name} is {other}, not a file; give a path to {kind}")
     if len(data) > LARGEST:
         raise InputError(f"{path} holds more than {LARGEST >> 20} MiB; give a path to {kind}")
     return _decoded(data, path, kind)
@@ -175,11 +172,7 @@ def shortened(value: object, length: int = 60) -> str:
     return text if len(text) <= length else f"{text[: length - 2].rstrip()} …"
 
 
-UNBOUNDED = 100_000
-"""Line width used where the output is not a terminal, characters."""
-
-
-def screen_width(otherwise: int = UNBOUNDED) -> int:
+def screen_width(otherwise: int = 100_000) -> int:
     """Return the width of a line in characters.
 
     It is the environment variable COLUMNS if set, else the terminal's width, or ``otherwise`` without a terminal.
@@ -237,10 +230,6 @@ def is_file(path: str | Path) -> bool:
     with suppress(OSError, ValueError):
         return Path(path).is_file()
     return False
-
-
-def _name(path: str | Path) -> str:
-    return shortened(path, 300)
 
 
 def reason_of(error: Exception) -> str:
@@ -435,11 +424,10 @@ def _paths(named: Named) -> Iterator[Path]:
 def _check_name(path: Path) -> None:
     """Raise an error if an output's name is too long or names a folder; to be called before hours of computing."""
     try:
-        folder = path.exists() and path.is_dir()
+        if path.exists() and path.is_dir():
+            raise InputError(f"cannot write {path}: it is a folder; give the name of a file")
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror}; give another name") from error
-    if folder:
-        raise InputError(f"cannot write {path}: it is a folder; give the name of a file")
 
 
 def _same(one: Path, other: Path) -> bool:

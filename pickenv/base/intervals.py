@@ -20,6 +20,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
@@ -82,9 +83,7 @@ def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 
 def _t(freedom: float, tail: float) -> float:
     """Return the quantile at probability ``tail`` of Student's t distribution with ``freedom`` degrees of freedom."""
-    from scipy.special import stdtrit  # late: half of SciPy comes along
-
-    return float(stdtrit(freedom, tail))
+    return float(scipy.special.stdtrit(freedom, tail))
 
 
 def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
@@ -117,9 +116,6 @@ def _slow_waves(count: int) -> tuple[Array, float]:
 
     ``count`` is the number of values in the series. The critical value is the ``critical`` of `_beyond`.
     """
-    from scipy.optimize import brentq
-    from scipy.special import gammaln
-
     place = (np.arange(count) + 0.5) / count
     alike = MOST_ALIKE ** np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     narrowest = np.inf
@@ -127,8 +123,8 @@ def _slow_waves(count: int) -> tuple[Array, float]:
         waves = np.sqrt(2.0) * np.cos(np.pi * np.arange(1, number + 1)[:, None] * place) / count
         both = np.concatenate([np.full((1, count), 1.0 / count), waves])
         covariance = both @ alike @ both.T
-        critical = float(brentq(lambda value, c: _beyond(value, c) - 2.0 * _TAILS[0], 1.0, 1e3, args=(covariance,)))
-        width = critical * np.sqrt(2.0 / number) * np.exp(gammaln(0.5 * number + 0.5) - gammaln(0.5 * number))
+        critical = scipy.optimize.brentq(lambda value, c: _beyond(value, c) - 0.05, 1.0, 1e3, args=(covariance,))
+        width = critical * np.sqrt(2.0 / number) * scipy.special.poch(0.5 * number, 0.5)
         if width < narrowest:
             narrowest, best = width, (waves, critical)
     return best
@@ -179,7 +175,7 @@ def statistic_interval(
     return ends[0] + shift, ends[1] + shift
 
 
-def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
+def norm_interval(vectors: ArrayLike) -> Ends | None:
     """Return the 95 % interval of the norm of the mean of independent vectors ``(n, k)``, such as a pose's accuracy.
 
     The ends come from the jackknife (`statistic_interval`). The norm of a sample mean is above zero although the
@@ -188,21 +184,17 @@ def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
 
     Args:
         vectors: One vector per cycle, fruit or arm, in any unit.
-        least: Smallest number of vectors for which there is an interval; more than k.
 
     Returns:
-        Lower and upper end, in the unit of the vectors. None if there are fewer vectors than ``least``, or all
+        Lower and upper end, in the unit of the vectors. None if there are fewer vectors than `LEAST`, or all
         pseudo-values of the jackknife are equal.
     """
-    from scipy.special import fdtri
-
     x = np.asarray(vectors, dtype=float)
-    ends = statistic_interval(x, lambda some: np.linalg.norm(some.mean(axis=0)), least)
-    if ends is None:
+    if (ends := statistic_interval(x, lambda some: np.linalg.norm(some.mean(axis=0)))) is None:
         return None
     (n, k), mean = x.shape, x.mean(axis=0)
     t_squared = n * mean @ np.linalg.pinv(np.atleast_2d(np.cov(x.T))) @ mean
-    zero = t_squared * (n - k) / (k * (n - 1)) <= fdtri(k, n - k, 1.0 - 2.0 * _TAILS[0])
+    zero = t_squared * (n - k) / (k * (n - 1)) <= scipy.special.fdtri(k, n - k, 1.0 - 2.0 * _TAILS[0])
     return (0.0 if zero else max(ends[0], 0.0)), ends[1]
 
 
@@ -394,18 +386,16 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
         count: Size n of the sample.
         probability: Probability of the quantile, 0..1.
     """
-    from scipy.optimize import brentq
-    from scipy.special import betainc
 
     def beyond(rank: float, tail: float) -> float:
         """Return the probability, minus ``tail``, that the value of this rank (from 1) lies below the quantile."""
-        return float(betainc(rank, count + 1.0 - rank, probability)) - tail
+        return float(scipy.special.betainc(rank, count + 1.0 - rank, probability)) - tail
 
     def end(tail: float, side: float, innermost: float, outermost: float) -> float | None:
         if side * beyond(outermost, tail) < 0.0:
             return None
         enough = side * beyond(innermost, tail) >= 0.0
-        rank = innermost if enough else float(brentq(beyond, 1.0, float(count), args=(tail,)))
+        rank = innermost if enough else float(scipy.optimize.brentq(beyond, 1.0, float(count), args=(tail,)))
         return (rank - 0.5) / count
 
     if count < 1:
@@ -427,9 +417,7 @@ def _unskewed(standardised: float, skewness: float, n: int) -> float:
 
 
 def _wilson(share: float, trials: float) -> Ends:
-    from scipy.special import ndtri
-
-    z2 = float(ndtri(_TAILS[1])) ** 2
+    z2 = float(scipy.special.ndtri(_TAILS[1])) ** 2
     middle = (share + z2 / (2.0 * trials)) / (1.0 + z2 / trials)
     half = float(np.sqrt(z2 * share * (1.0 - share) / trials + z2**2 / (4.0 * trials**2))) / (1.0 + z2 / trials)
     return (0.0 if share == 0.0 else middle - half), (1.0 if share == 1.0 else middle + half)

@@ -153,13 +153,11 @@ def registered_as(thing: Any) -> tuple[str, str] | None:
 
     Entry points of installed packages count as registered.
     """
-    for kind, entries in _entries.items():
-        for name, (registered, _) in entries.items():
-            if registered is thing:
-                return kind, name
+    keys = [(kind, name) for kind, entries in _entries.items() for name in entries if entries[name][0] is thing]
     place = f"{thing.__module__}:{thing.__qualname__}"
     points = (point for point in _installed(tuple(sys.path)) if point.value == place)
-    return next(((point.group.removeprefix("pickenv."), point.name) for point in points), None)
+    keys += [(point.group.removeprefix("pickenv."), point.name) for point in points]
+    return keys[0] if keys else None
 
 
 def load_all(kind: str) -> dict[str, Any]:

@@ -207,12 +207,11 @@ def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, luc
         entry: Times at which the cups enter the foliage, ascending, s, (picks,).
         luck: Random numbers of the picks; they give strength and direction of each push.
     """
-    n = len(fruit)
-    if n < 2:
-        return np.zeros((n, 3))
     wait = entry[None, :] - entry[:, None]  # from push i to cup j
     start = pushes(model, fruit, fruit, luck) * (wait > 0)[..., None]
-    swung, _ = swing(model.branch, start, np.zeros_like(start), np.broadcast_to(masses, (n, n)), np.maximum(wait, 0.0))
+    swung, _ = swing(
+        model.branch, start, np.zeros_like(start), np.broadcast_to(masses, wait.shape), np.maximum(wait, 0.0)
+    )
     return np.asarray((model.lasting * start + (1 - model.lasting) * swung).sum(axis=0))
 
 

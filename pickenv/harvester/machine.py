@@ -8,7 +8,7 @@ Moves have trapezoidal speed profiles within limits of speed and acceleration (F
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
@@ -360,12 +360,11 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
         raise InputError(f"a slave spacing of {between} m is impossible; give a number above zero")
     slide, telescope = accelerations.slave_slides
     slave = load_arm(head.slave)
-    shifts = (np.arange(int(count)) - (int(count) - 1) / 2) * between
     machine = Machine(
         master=load_arm(head.master),
         slaves=tuple(
             replace(slave, nominal=shifted(slave.nominal, shift), true=slave.true and shifted(slave.true, shift))
-            for shift in shifts.tolist()
+            for shift in ((np.arange(int(count)) - (int(count) - 1) / 2) * between).tolist()
         ),
         spacing=between,
         master_start=np.zeros(3),
@@ -493,5 +492,4 @@ def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
 
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
     """Return the ranges of x, y and z, base frame, m, where points that cups reach lie densely (Li 2016, Fig. 8)."""
-    workspace = read_toml(WorkspaceTable, SHIPPED, section="workspace")
-    return workspace.dense_x, workspace.dense_y, workspace.dense_z
+    return astuple(read_toml(WorkspaceTable, SHIPPED, section="workspace"))

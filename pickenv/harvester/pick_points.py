@@ -141,10 +141,8 @@ def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) ->
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
-@cache
-def load_lab() -> Lab:
-    """Return the table [lab] of the picking file (Li's experiment); the file is read only once."""
-    return read_toml(Lab, PICKING_FILE, section="lab")
+load_lab = cache(partial(read_toml, Lab, PICKING_FILE, section="lab"))
+"""Return the table [lab] of the picking file (Li's experiment); the file is read only once."""
 
 
 def lab_zone(canopy: trees.Canopy) -> Array:
@@ -210,9 +208,8 @@ class Grid:
     overlap: Annotated[float, MM.not_negative]
 
 
-def load_grid(path: str | Path = STRATEGY_FILE) -> Grid:
-    """Read the table [zones] of a strategy file."""
-    return read_toml(Grid, path, section="zones")
+load_grid = partial(read_toml, Grid, STRATEGY_FILE, section="zones")
+"""Return the table [zones] of the strategy file."""
 
 
 def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:
@@ -263,10 +260,8 @@ def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
         fruit: Positions in the base frame, m, (n, 3).
         printed: Whether to take eq (7) as printed.
     """
-    if printed:
-        angle = np.arctan(fruit[:, 0] / fruit[:, 1])
-        return int(angle.argmax()), int(angle.argmin())
-    bearing = np.arctan2(fruit[:, 0], -fruit[:, 1])
+    x, y = fruit[:, 0], fruit[:, 1]
+    bearing = np.arctan(x / y) if printed else np.arctan2(x, -y)
     return int(bearing.argmax()), int(bearing.argmin())
 
 
@@ -319,8 +314,7 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
         printed = method == "as_printed"
         span = float(machine.offsets[-1]) if machine.arms > 1 else 0.0  # the paper's k0: middle to side arm
         heading = pick_heading(fruit, span, printed)
-        nearest = np.hypot(fruit[:, 0], fruit[:, 1]).min()
-        reach = float(nearest - machine.a4 - machine.slave_home[2])  # eq (9)
+        reach = float(np.hypot(fruit[:, 0], fruit[:, 1]).min() - machine.a4 - machine.slave_home[2])  # eq (9)
         stroke = float(machine.slave.upper[0] - machine.slave.lower[0])
         height = float(fruit[:, 2].min()) + stroke / 2  # eq (8)
         if method == "corrected":
@@ -344,8 +338,7 @@ def searched(machine: Machine, fruit: Array) -> Array:
     low, high = machine.master.nominal.lower, machine.master.nominal.upper
     farthest = high[2] + machine.a4 + machine.slave.upper[2] + machine.a2 + np.abs(machine.offsets).max()
     near = np.hypot(fruit[:, 0], fruit[:, 1]) <= farthest
-    if near.any():  # fruit that no arm could ever reach must not pull the pick point away
-        fruit = fruit[near]
+    fruit = fruit[near] if near.any() else fruit  # what no arm could ever reach must not pull the pick point away
     heights = _heights(machine, fruit)
     bottom, top = machine.slave.lower[0], machine.slave.upper[0]
     window = np.abs(fruit[:, 2] - machine.d1 - heights[:, None] - (top + bottom) / 2)  # (k, n)

@@ -140,7 +140,7 @@ class Controller:
         machine, nominal = self.machine, np.asarray(master, dtype=float)
         if self.master is None:
             return nominal
-        target, aim = machine.frame3(nominal), machine.frame3(nominal)
+        target = aim = machine.frame3(nominal)
         command = nominal
         for _ in range(ROUNDS):
             aim = aim + target - self.master.predict(command).position

@@ -84,8 +84,7 @@ def pairs_of(arms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
     The pairs have the order of ``numpy.triu_indices(arms, 1)``.
     """
-    first, second = np.triu_indices(arms, 1)
-    return first, second
+    return np.triu_indices(arms, 1)
 
 
 def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
@@ -283,10 +282,8 @@ class Timetable:
 
 
 Hold = Callable[[int, int, float, Timetable], float]
-"""Rule of waiting: a function that gives the time at which an arm starts its excursion, s.
-
-Its arguments are the arm, its fruit, the time at which it is ready (s), and the timetable of earlier picks.
-"""
+"""Rule of waiting: a function that gives the time at which an arm starts its excursion, s. Its arguments are the arm,
+its fruit, the time at which it is ready (s), and the timetable of earlier picks."""
 
 
 def timetable(work: Work, plan: Plan, *, hold: Hold | None = None) -> Timetable:
@@ -472,16 +469,15 @@ def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: 
     return np.asarray(profile(time, 1.0, speed[lead] / abs(moves[lead]), acceleration[lead] / abs(moves[lead])))
 
 
-def closest_approach(machine: Machine, work: Work, times: Timetable, step: float = 0.1) -> float:
+def closest_approach(machine: Machine, work: Work, times: Timetable) -> float:
     """Return the least distance between centre lines of two arms in a timetable, m; inf with one arm or no picks.
 
     Args:
         machine: The machine.
         work: Scheduling problem of the zone.
-        times: The timetable.
-        step: Time between two samples, s.
+        times: The timetable, which is sampled every 0.1 s.
     """
     if machine.arms < 2 or not len(times.arm):
         return float("inf")
-    at = np.arange(0.0, times.makespan + step, step)
+    at = np.arange(0.0, times.makespan + 0.1, 0.1)
     return float(arm_distances(machine, slave_joints_at(machine, work, times, at)).min())

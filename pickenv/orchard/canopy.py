@@ -101,9 +101,8 @@ def _apart(upright: Array, low: Array, high: Array, diameters: Array, canopy: Ca
     for _ in range(ROUNDS):
         upright = np.clip(upright, low, high)
         leaning = upright + face(canopy, upright[:, 2])[:, None] * lean
-        if len(leaning) < 2:
-            return np.asarray(leaning)
-        first, second = cKDTree(leaning).query_pairs(float(diameters.max()), output_type="ndarray").T
+        reach = float(diameters.max(initial=0.0))
+        first, second = cKDTree(leaning).query_pairs(reach, output_type="ndarray").T
         apart = leaning[second] - leaning[first]
         distance = np.linalg.norm(apart, axis=-1)
         overlap = (diameters[first] + diameters[second]) / 2 - distance

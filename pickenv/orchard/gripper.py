@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, Union
+from typing import Annotated, Any, Literal, Protocol, Union, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -165,9 +165,7 @@ def misalignment(
     offset, axis = checks.points("the offset", offset), checks.directions("the tool axis", tool_axis)
     axial = np.einsum("...i,...i->...", offset, axis)
     lateral = np.linalg.norm(offset - axial[..., None] * axis, axis=-1)
-    if wanted_axis is None:
-        return lateral, axial, np.zeros_like(axial)
-    ideal = checks.directions("the wanted axis", wanted_axis)
+    ideal = axis if wanted_axis is None else checks.directions("the wanted axis", wanted_axis)
     angle = np.arctan2(np.linalg.norm(np.cross(axis, ideal), axis=-1), np.einsum("...i,...i->...", axis, ideal))
     return lateral, axial, np.broadcast_to(angle, np.broadcast_shapes(angle.shape, axial.shape))
 
@@ -205,13 +203,11 @@ def load_gripper(name: str | Path) -> Gripper:
             malformed.
     """
     if str(name) not in names("gripper"):
-        gripper: Gripper = preset_files.load("gripper", name, gripper_kind)
-        return gripper
+        return cast(Gripper, preset_files.load("gripper", name, gripper_kind))
     try:
-        gripper = get("gripper", str(name))()
+        return cast(Gripper, get("gripper", str(name))())
     except TypeError as error:
         raise InputError(f"gripper '{name}' has numbers; give a file (.toml) with kind = '{name}' and them") from error
-    return gripper
 
 
 def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
@@ -223,8 +219,7 @@ def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
     kind = table.get("kind", "cup")
     if kind not in names("gripper"):
         raise InputError(f"kind is {kind!r}; give {' or '.join(map(repr, names('gripper')))}")
-    registered: type[Any] = get("gripper", kind)
-    return registered
+    return cast(type[Any], get("gripper", kind))
 
 
 def gripper_file() -> Any:

@@ -10,7 +10,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pickenv.base import InputError, is_file, shortened, toml_of
+from pickenv.base import InputError, in_file, is_file, shortened, toml_of
 from pickenv.base.toml_tables import made
 
 FOLDER = Path(__file__).parent / "presets"
@@ -51,10 +51,8 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
             f"unknown {kind} '{shortened(name)}'; give one of {shipped(kind)} or a path to a {kind} file (.toml)"
         )
     table, label = (tables, path.stem) if own else (tables[str(name)], str(name))
-    try:
+    with in_file(path.name):
         kind_of_thing = thing if isinstance(thing, type) else thing(table)
-    except InputError as error:
-        raise InputError(f"{path.name}: {error}") from error
     return made(kind_of_thing, table, path.name, name=label, text=text if own else "")
 
 

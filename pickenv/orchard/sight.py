@@ -389,9 +389,6 @@ VISIONS = ("rendered", "measured_errors", "ideal")
 DETECTORS = ("li2016", "circles")
 """Names of the detectors: centroids of fruit-coloured regions (Li et al. 2016), and circles through visible rims."""
 
-SAME = 1.0
-"""Largest distance between a correct detection and its fruit, as a multiple of the largest fruit diameter."""
-
 
 @dataclass(frozen=True, eq=False)
 class Eyes:
@@ -517,8 +514,7 @@ def picture(
         looks: Number of images that are averaged, which reduces only the sensor's noise.
     """
     camera, eye, looking = eyes.camera, left_eye(eyes.camera, view), view[1]
-    if leaves is None:
-        leaves = turned_leaves(np.zeros((0, 3)), eyes.look, rng)
+    leaves = turned_leaves(np.zeros((0, 3)), eyes.look, rng) if leaves is None else leaves
     places = camera_frame(leaves.places, eye, looking)
     half = np.array(camera.image) / 2 / camera.focal_length
     edge = np.array([camera.baseline + eyes.look.leaf_length, eyes.look.leaf_length])
@@ -540,6 +536,8 @@ def located_fruit(
 ) -> tuple[Flags, Array, Array]:
     """Match the detections of a pair of images to the true fruit.
 
+    A correct detection is at most as far from its fruit as the largest fruit diameter.
+
     Args:
         pair: The images.
         detections: Positions of detections, camera frame, m, (k, 3).
@@ -555,7 +553,7 @@ def located_fruit(
     visible = np.flatnonzero(pair.visible > 0)
     if not len(visible):
         return located, positions, detections
-    matched = stereo.match_detections(detections, places[visible], SAME * float(np.max(diameters)))
+    matched = stereo.match_detections(detections, places[visible], float(np.max(diameters)))
     fruit = visible[matched[matched >= 0]]
     located[fruit], positions[fruit] = True, detections[matched >= 0]
     return located, positions, detections[matched < 0]

@@ -179,8 +179,6 @@ def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
 
     difference = red_minus_green(image)
     mask = difference > fruit_threshold(difference)
-    if not mask.any():
-        return np.asarray(mask, dtype=bool)
     for _ in range(camera.erosions):
         mask = erosion(mask, SQUARE)
     regions = np.asarray(label(mask, connectivity=2))  # type: ignore[no-untyped-call]
@@ -340,19 +338,17 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]
     """
     from scipy import ndimage
 
-    require("skimage")
     difference = red_minus_green(image)
     mask = np.asarray(ndimage.gaussian_filter(difference, search.blur) > fruit_threshold(difference))
+    edges = _edges(search, difference, mask)
     circles: list[tuple[float, float, float]] = []
-    if mask.any():
-        edges = _edges(search, difference, mask)
-        for column, row, radius in _voted(search, edges, (mask.shape[0], mask.shape[1])):
-            if _taken(circles, column, row, radius):
-                continue
-            circle = _fitted(search, edges, column, row, radius)
-            sound = search.smallest - STEP < circle[2] < search.largest + STEP and not _taken(circles, *circle)
-            if sound and _filled(mask, *circle) >= search.least_fruit:
-                circles.append(circle)
+    for column, row, radius in _voted(search, edges, (mask.shape[0], mask.shape[1])):
+        if _taken(circles, column, row, radius):
+            continue
+        circle = _fitted(search, edges, column, row, radius)
+        sound = search.smallest - STEP < circle[2] < search.largest + STEP and not _taken(circles, *circle)
+        if sound and _filled(mask, *circle) >= search.least_fruit:
+            circles.append(circle)
     return np.array(circles, dtype=float).reshape(-1, 3), mask
 
 

@@ -212,13 +212,10 @@ def read_frame(
         reading: Standard normal numbers of this reading, six components: three for position, three for attitude.
         mounting: Standard normal numbers of the target's mounting, three components.
     """
-    if noise.centring_std:
-        aside = [noise.centring_std * value for value in mounting]
-        axes = zip(frame[0:3], frame[3:6], frame[6:9], frame[9:], strict=True)
-        frame = (*frame[:9], *(aside[0] * x + aside[1] * y + aside[2] * z + p for x, y, z, p in axes))
-    std: Any = noise.position_std
-    if noise.range_std:
-        x, y, z = (a - b for a, b in zip(frame[9:], stand, strict=True))
-        std = noise.position_std_at(m.sqrt(x * x + y * y + z * z))
+    aside = [noise.centring_std * value for value in mounting]
+    axes = zip(frame[0:3], frame[3:6], frame[6:9], frame[9:], strict=True)
+    frame = (*frame[:9], *(aside[0] * x + aside[1] * y + aside[2] * z + p for x, y, z, p in axes))
+    x, y, z = (a - b for a, b in zip(frame[9:], stand, strict=True))
+    std = noise.position_std_at(m.sqrt(x * x + y * y + z * z))
     scales = (std,) * 3 + (noise.attitude_std,) * 3
     return displaced_frame(m, frame, [scale * value for scale, value in zip(scales, reading, strict=True)])

@@ -139,12 +139,10 @@ def joint_table(make: Callable[..., Any], **sizes: tuple[Unit, Unit] | Unit) -> 
 
 
 MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in range(8))
-"""Places where an effect acts, in order from the motors to the tool.
-
-Each place has a part of the `Passage` that its effects change. On the motors: `Passage.turn`. In the drives:
-`Passage.drive`. In the gears and at the joints: ``joints``, ``chain``. Along the links: ``bends``. Under the base and
-at the tool: ``frame``. An effect at `BESIDE` never moves the arm (an instrument's noise). Add a fraction below 1 to
-order the effects of one place."""
+"""Places where an effect acts, in order from the motors to the tool. Each place has a part of the `Passage` that its
+effects change. On the motors: `Passage.turn`. In the drives: `Passage.drive`. In the gears and at the joints:
+``joints``, ``chain``. Along the links: ``bends``. Under the base and at the tool: ``frame``. An effect at `BESIDE`
+never moves the arm (an instrument's noise). Add a fraction below 1 to order the effects of one place."""
 
 Components = tuple[Scalar, ...]
 

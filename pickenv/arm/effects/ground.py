@@ -87,10 +87,6 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
 BELOW_ONE = afterwards(lambda zetas: all(zeta < 1.0 for zeta in zetas), "damping ratios from 0 to below 1")
 
 
-LARGEST_DAMPING = 0.5
-"""Largest damping ratio of a structure; larger draws are clipped to it."""
-
-
 @register("effect", "settling")
 @toml_table
 class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "damping": "damping"}):
@@ -158,7 +154,10 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
         return *profiles, *vibrations, *rates
 
     def drawn(self, draws: Draws) -> Settling:
-        """Return the vibration of many arms, drawn as in `Effect.drawn`; damping is clipped to `LARGEST_DAMPING`."""
+        """Return the vibration of many arms, drawn as in `Effect.drawn`.
+
+        Damping ratios are clipped to 0.5, the largest of a structure.
+        """
         modes = super().drawn(draws)
-        damping: Any = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in modes.damping)
+        damping: Any = tuple(np.minimum(zeta, 0.5) for zeta in modes.damping)
         return replace(modes, damping=damping)

@@ -122,10 +122,8 @@ class Arm:
 
 
 ORTHONORMAL = 1e-9
-"""Largest allowed deviation of an entry of R R^T from the identity, for a rotation matrix R.
-
-It is far above rounding errors and far below errors that matter at the tool.
-"""
+"""Largest allowed deviation of an entry of R R^T from the identity, for a rotation matrix R. It is far above rounding
+errors and far below errors that matter at the tool."""
 
 
 def geometry_arrays(geometry: Geometry) -> dict[str, Array]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -285,8 +285,7 @@ def load_arm(name: str | Path, whole: bool = False) -> Arm:
         raise InputError(f"{name} names several links, as `calibrate` takes a whole robot; name one here")
     ending = Path(path).suffix[1:].replace("xacro", "urdf")
     reader = registry.get("arm_format", ending) if ending in registry.names("arm_format") else load_toml
-    arm: Arm = reader(path, tip or None)
-    return arm
+    return cast(Arm, reader(path, tip or None))
 
 
 @register("arm_format", "toml")

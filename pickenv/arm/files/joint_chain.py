@@ -136,8 +136,7 @@ def link_origins(geometry: Geometry) -> list[Pose]:
     """
     origins, before = [], geometry.base
     for i in range(geometry.links):
-        angles = geometry.alpha[i], geometry.beta[i], geometry.theta[i]
-        turn = Rotation.from_euler("XYZ", angles).as_matrix()
+        turn = Rotation.from_euler("XYZ", [geometry.alpha[i], geometry.beta[i], geometry.theta[i]]).as_matrix()
         local = np.array([geometry.a[i], 0.0, 0.0]) + geometry.d[i] * turn[:, 2]
         origins.append(behind(before, Pose(local, turn)))
         before = identity_pose()
@@ -153,10 +152,8 @@ GRIPPERS = re.compile("finger|gripper|jaw|knuckle|thumb|claw|pinch|grasp", re.IG
 """Pattern of words by which the names of gripper joints are recognised."""
 
 FLANGES = ("tool0", "flange", "attachment_site")
-"""Names of the flange by convention, most specific first: ROS-Industrial, REP 199, MuJoCo Menagerie.
-
-A link's name may have a prefix before them.
-"""
+"""Names of the flange by convention, most specific first: ROS-Industrial, REP 199, MuJoCo Menagerie. A link's name may
+have a prefix before them."""
 
 SIDE = 2
 """A branch (wheels, a head, a pinion) is ignored if another branch has at least `SIDE` times as many joints."""
@@ -393,11 +390,10 @@ def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None,
         last, branch = shared[-1] if shared else -1, links[len(shared) :]
         if branch:
             points, axes = [link.origin.position for link in branch], [link.axis for link in branch]
-            names, kinds = tuple(link.name for link in branch), tuple(link.slides for link in branch)
             if joints:
                 stand = zeros[last] if last >= 0 else base
                 points, axes = [stand.position, *points], [stand.rotation[:, 2], *axes]
-            part = geometry_from_axes(names, kinds, points, axes, tip, np.zeros(0), np.zeros(0))
+            part = geometry_from_axes((), (), points, axes, tip, np.zeros(0), np.zeros(0))  # only its link table
             columns = np.stack([getattr(part, name) for name in LINK_PARAMETERS])
             if joints:  # the branch begins beside the link before, turned and shifted along its axis
                 turn = stand.rotation.T @ part.base.rotation
@@ -409,8 +405,8 @@ def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None,
             first = len(joints)
             parents += [last, *range(first, first + len(branch) - 1)]
             joints, table = [*joints, *branch], np.concatenate([table, columns], axis=1)
-            part = replace(part, **dict(zip(LINK_PARAMETERS, columns, strict=True)), coupling=None)
-            still = replace(part, base=stand if first else base, prismatic=(False,) * len(branch))
+            numbers = dict(zip(LINK_PARAMETERS, columns, strict=True))
+            still = replace(part, **numbers, base=stand if first else base, prismatic=(False,) * len(branch))
             zeros += [pose_of(frame) for frame in frames(math, chain_of(still), [0.0] * len(branch))[1:]]
             last = len(joints) - 1
         carriers.append(last)

@@ -43,7 +43,7 @@ from pickenv.arm.files.joint_chain import (
 from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.arm.kinematics.task_space import rotation_matrix
-from pickenv.base import DEG, RAD, InputError, M, decimal_number, is_file, listed, one_line, register, shortened
+from pickenv.base import DEG, RAD, InputError, M, Unit, decimal_number, is_file, listed, one_line, register, shortened
 from pickenv.base.files import in_file
 
 # MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
@@ -59,8 +59,6 @@ STIFFNESS, DAMPING = 2000.0, 200.0
 
 RODS = "masses"
 """Name of the text element that marks a written file in which links have masses of rods, which are not read back."""
-
-TOOL_SITE = "tool"
 
 
 def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
@@ -107,7 +105,7 @@ def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
         else:
             law = numbers_text([0.0, ratio, 0.0, 0.0, 0.0])
             ElementTree.SubElement(couplings, "joint", joint1=joint, joint2=title, polycoef=law)
-    ElementTree.SubElement(body, "site", {"name": TOOL_SITE, "size": "0.01", **_placed(geometry.tool)})
+    ElementTree.SubElement(body, "site", {"name": "tool", "size": "0.01", **_placed(geometry.tool)})
     root.append(drives)
     if len(couplings):
         root.append(couplings)
@@ -138,6 +136,7 @@ def _placed(pose: Pose) -> dict[str, str]:
 
 
 Attributes: TypeAlias = Mapping[str, str]
+ANGLES = {"degree": DEG, "radian": RAD}
 ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 
 
@@ -146,13 +145,13 @@ class MjcfValues:
     """Settings of an MJCF file that determine the meaning of its numbers.
 
     Attributes:
-        degrees: Whether the file's angles are degrees, which is MJCF's default.
+        unit: Unit of the file's angles: degrees, which are MJCF's default, or radians.
         sequence: Order of the file's Euler angles; small letters mean moving axes, capitals fixed axes.
         autolimits: Whether a joint with a range is limited without the attribute ``limited``.
         defaults: Attributes of each default class, by element and class.
     """
 
-    degrees: bool
+    unit: Unit
     sequence: str
     autolimits: bool
     defaults: Mapping[tuple[str, str], Attributes]
@@ -165,9 +164,9 @@ class MjcfValues:
             InputError: If a setting is unknown.
         """
         settings = {key: value for compiler in root.iterfind("compiler") for key, value in compiler.attrib.items()}
-        unit, sequence = settings.get("angle", "degree"), settings.get("eulerseq", "xyz")
-        if unit not in ("degree", "radian"):
-            raise InputError(f"angle of <compiler> is '{shortened(unit)}'; give degree or radian")
+        angle, sequence = settings.get("angle", "degree"), settings.get("eulerseq", "xyz")
+        if angle not in ANGLES:
+            raise InputError(f"angle of <compiler> is '{shortened(angle)}'; give degree or radian")
         if len(sequence) != 3 or set(sequence) - set("xyzXYZ"):
             raise InputError(f"eulerseq of <compiler> is '{shortened(sequence)}'; give three of x, y, z, X, Y, Z")
         defaults: dict[tuple[str, str], Attributes] = {}
@@ -178,7 +177,7 @@ class MjcfValues:
                 inherited = dict(defaults.get((tag, name), defaults.get((tag, above), {})))
                 defaults[tag, name] = reduce(_over, (element.attrib for element in part.iterfind(tag)), inherited)
             waiting += [(child, child.get("class", ""), name) for child in reversed(part.findall("default"))]
-        return cls(unit == "degree", sequence, settings.get("autolimits", "true") == "true", defaults)
+        return cls(ANGLES[angle], sequence, settings.get("autolimits", "true") == "true", defaults)
 
     def merged(self, tag: str, element: Element, childclass: str) -> Attributes:
         """Return an element's attributes, completed by the attributes of its default class.
@@ -195,10 +194,6 @@ class MjcfValues:
         if name != "main" and (tag, name) not in self.defaults:
             raise InputError(f"there is no default class '{shortened(name)}'; name one of the file")
         return _over(self.defaults.get((tag, name), {}), element.attrib)
-
-    def angle(self, value: float) -> float:
-        """Convert an angle of the file to rad."""
-        return math.radians(value) if self.degrees else value
 
     def pose(self, attributes: Attributes) -> Pose:
         """Return the pose of a body, frame or site in its parent from its attributes."""
@@ -223,23 +218,17 @@ class MjcfValues:
             owner = f"joint '{name}' of body '{shortened(joint.body)}'"
             raise InputError(f"{owner} is of type {shortened(kind)}; only chains of hinges and slides are arms")
         slides = kind == "slide"
-        most = M.most if slides else self._most
-        ref = xml_number(attributes.get("ref", "0"), f"ref of joint '{name}'", most)
+        unit = M if slides else self.unit
+        ref = xml_number(attributes.get("ref", "0"), f"ref of joint '{name}'", unit.most) * unit.scale
         ranged = "range" in attributes and word != "false"
-        low, high = xml_numbers(attributes["range"], "range", most, 2).tolist() if ranged else (0.0, 0.0)
+        low, high = xml_numbers(attributes["range"], "range", unit.most, 2).tolist() if ranged else (0.0, 0.0)
         limited = ranged and (word == "true" or (self.autolimits and low < high))
         if slides and not limited and not follows:
             raise InputError(f"slide joint '{name}' has no range; give its lower and upper end in m")
         if limited and low >= high:
             raise InputError(f"joint '{name}' has a range whose lower end is not below its upper end; correct it")
-        if slides:
-            return Drive(True, low, high, 1.0), ref, limited
-        lower, upper = (self.angle(low), self.angle(high)) if limited else (-math.pi, math.pi)
-        return Drive(False, lower, upper, 1.0), self.angle(ref), limited
-
-    @property
-    def _most(self) -> float:
-        return DEG.most if self.degrees else RAD.most
+        lower, upper = (low * unit.scale, high * unit.scale) if slides or limited else (-math.pi, math.pi)
+        return Drive(slides, lower, upper, 1.0), ref, limited
 
     def _rotation(self, attributes: Attributes) -> Array:
         ways = [key for key in ORIENTATIONS if key in attributes]
@@ -250,13 +239,13 @@ class MjcfValues:
                 w, *xyz = unit_vector(xml_numbers(attributes["quat"], "quat", M.most, 4), "quat")
                 return np.asarray(Rotation.from_quat([*xyz, w]).as_matrix())
             case ["axisangle"]:
-                turn = xml_numbers(attributes["axisangle"], "axisangle", self._most, 4)
-                return rotation_matrix(unit_vector(turn[:3], "axisangle") * self.angle(float(turn[3])))
+                turn = xml_numbers(attributes["axisangle"], "axisangle", self.unit.most, 4)
+                return rotation_matrix(unit_vector(turn[:3], "axisangle") * (float(turn[3]) * self.unit.scale))
             case ["euler"]:
                 turned = np.eye(3)
-                turns = xml_numbers(attributes["euler"], "euler", self._most).tolist()
+                turns = xml_numbers(attributes["euler"], "euler", self.unit.most).tolist()
                 for letter, angle in zip(self.sequence, turns, strict=True):
-                    step = rotation_matrix(np.eye(3)["xyz".index(letter.lower())] * self.angle(angle))
+                    step = rotation_matrix(np.eye(3)["xyz".index(letter.lower())] * (angle * self.unit.scale))
                     turned = turned @ step if letter.islower() else step @ turned
                 return turned
             case ["xyaxes"]:
@@ -280,10 +269,10 @@ def _over(below: Attributes, own: Attributes) -> dict[str, str]:
     of orientation (such as euler) is inherited.
     """
     ways = [key for key in ORIENTATIONS if key in own]
-    inherited = [key for key in ORIENTATIONS[1:] if key in below]
-    dropped = {"quat"} if ways == ["quat"] and inherited else set()
-    lower = {key: value for key, value in below.items() if not ways or dropped or key not in ORIENTATIONS}
-    return {**lower, **{key: value for key, value in own.items() if key not in dropped}}
+    if ways == ["quat"] and any(key in below for key in ORIENTATIONS[1:]):
+        return {**below, **{key: value for key, value in own.items() if key != "quat"}}
+    lower = {key: value for key, value in below.items() if not ways or key not in ORIENTATIONS}
+    return {**lower, **own}
 
 
 WORLD = "world"

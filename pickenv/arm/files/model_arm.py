@@ -54,9 +54,8 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
     body = int(model.site_bodyid[number])
     while body > 0:
         first = int(model.body_jntadr[body])
-        chain += reversed(range(first, first + int(model.body_jntnum[body])))
+        chain = [*range(first, first + int(model.body_jntnum[body])), *chain]
         body = int(model.body_parentid[body])
-    chain.reverse()
     names = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}": joint for joint in chain}
     selection = tuple(joints) if joints is not None else tuple(names)
     if lost := [name for name in selection if name not in names]:
@@ -202,8 +201,7 @@ def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:
             [frame_of(Pose(data.xpos[body], data.xmat[body].reshape(3, 3))) for body in numbers]
             for numbers in (model.body_parentid[bodies], bodies)
         )
-        parents = [above[0], *map(frame_within, links[:-1], above[1:])]
-        return parents, list(map(frame_within, links, poses))
+        return [above[0], *map(frame_within, links[:-1], above[1:])], list(map(frame_within, links, poses))
 
     above, within = stands(model.qpos0[places])
     # At other joints bodies stand in their links as before, or the links are not the model's.

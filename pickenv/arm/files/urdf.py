@@ -46,10 +46,8 @@ ROD_RADIUS, SHORTEST_ROD = 0.015, 0.02
 """Radius and least length, m, of the rods that viewers draw for the links; kinematics do not use them."""
 
 MASS, INERTIA, EFFORT = 0.1, 1e-4, 100.0
-"""Mass, inertia and largest effort, in SI units, of every moving link and joint.
-
-They are placeholders, because simulators refuse a link without mass and a joint without effort.
-"""
+"""Mass, inertia and largest effort, in SI units, of every moving link and joint. They are placeholders, because
+simulators refuse a link without mass and a joint without effort."""
 
 
 def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:

@@ -48,9 +48,7 @@ def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
     """
     if m is math:
         return low if value < low else high if value > high else value
-    if m is np:
-        return m.minimum(m.maximum(value, low), high)
-    return m.clip(value, low, high)
+    return m.minimum(m.maximum(value, low), high) if m is np else m.clip(value, low, high)
 
 
 def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
@@ -118,27 +116,21 @@ PARALLEL = 1e-9
 """Two axes count as parallel if the cross product of their directions is shorter than this."""
 
 NEARLY_PARALLEL = 1e-2
-"""Two axes count as nearly parallel if their cross product is shorter; their angle goes into Hayati's beta.
-
-Such small angles come from a file's rounding or a part's tolerance. The common normal of such axes would be far away:
-kilometres, if a file rounds half a turn to 3.1416.
-"""
+"""Two axes count as nearly parallel if their cross product is shorter; their angle goes into Hayati's beta. Such small
+angles come from a file's rounding or a part's tolerance. The common normal of such axes would be far away: kilometres,
+if a file rounds half a turn to 3.1416."""
 
 SKEW = 0.7
 """The angle of two axes goes into beta too if their cross product is shorter than this and they are far apart.
-
 `TILT_LEVER` defines far apart. A small tilt of one of such axes moves both feet of the common normal far along the
 axes: by the normal's length times the tilt / sine^2, with the sine of the angle between the axes. With beta, the link
 runs straight across to the other axis instead. Then a displacement of that axis only turns the link, by the
-displacement / distance.
-"""
+displacement / distance."""
 
 TILT_LEVER = 0.15
-"""Two axes are far apart if their distance exceeds this length, m, times the sine of the angle between them.
-
-The distance is measured straight across, from the frame on the first axis. The length is a part's tolerance of length
-divided by its tolerance of angle.
-"""
+"""Two axes are far apart if their distance exceeds this length, m, times the sine of the angle between them. The
+distance is measured straight across, from the frame on the first axis. The length is a part's tolerance of length
+divided by its tolerance of angle."""
 
 
 def geometry_from_axes(

@@ -193,15 +193,8 @@ class Geometry:
 
     def links_of(self, joint: int) -> list[tuple[int, float]]:
         """Return the index and the ratio (see `Coupling`) of each link that a joint moves; indices count from 0."""
-        return self._moved[joint]
-
-    @cached_property
-    def _moved(self) -> list[list[tuple[int, float]]]:
-        moved: list[list[tuple[int, float]]] = [[] for _ in self.prismatic]
-        for link, (owner, ratio) in enumerate(zip(self.owners, self.ratios, strict=True)):
-            if ratio:
-                moved[owner].append((link, ratio))
-        return moved
+        links = enumerate(zip(self.owners, self.ratios, strict=True))
+        return [(link, ratio) for link, (owner, ratio) in links if owner == joint and ratio]
 
     @property
     def hand(self) -> int:

@@ -25,10 +25,8 @@ from pickenv.arm.kinematics.task_space import pose_error
 from pickenv.base import InputError
 
 STEP_LIMIT = 0.4
-"""Largest Gauss-Newton step of a joint, as a share of its half-range, or of 1 rad or 1 m if that is less.
-
-Within this limit the linearisation by the Jacobian is valid.
-"""
+"""Largest Gauss-Newton step of a joint, as a share of its half-range, or of 1 rad or 1 m if that is less. Within this
+limit the linearisation by the Jacobian is valid."""
 
 NUMERIC_TOLERANCE = 1e-6
 """Smallest relative singular value that is used; directions with smaller singular values are always cut off."""
@@ -37,14 +35,9 @@ NUMERIC_TOLERANCE = 1e-6
 POOL, NEAREST, DAMPED_STEPS = 2**13, 8, 40
 """Number of sample poses to choose starts from, number of starts per restart, and number of damped steps per start."""
 
-WHOLE = slice(0, 6)
-"""Components of the pose error that are reduced to zero: position and attitude."""
-
 TURN = 0.5
-"""Weight of a rotation matrix's entries in the search for the nearest sample poses.
-
-Positions, divided by the largest standard deviation of the sampled tool positions, have the weight 1.
-"""
+"""Weight of a rotation matrix's entries in the search for the nearest sample poses. Positions, divided by the largest
+standard deviation of the sampled tool positions, have the weight 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +106,7 @@ def inverse(
         raise ValueError("the start is not finite; give finite joints (rad or m)")
     first = np.broadcast_to(first, (*shape, n)).reshape(-1, n).clip(geometry.lower, geometry.upper)
     spread = qmc.Halton(n, scramble=False).random(restarts + 1)[1:] * 2 - 1 if restarts else np.empty((0, n))
-    parts = slice(0, 3) if position_only else WHOLE
-    attitude_limit = np.inf if position_only else attitude_tolerance
+    parts = slice(0, 3 if position_only else 6)  # the components of the pose error that are reduced to zero
 
     def judge(goals: Pose, q: Array) -> InverseSolution:
         """Return joints ``(K, n)`` as an `InverseSolution` for K goals, with the errors that they leave."""
@@ -122,7 +114,7 @@ def inverse(
         impossible = task_space.noncompensable_error(geometry, q, error, rank_tolerance)
         parts = error[:, :3], error[:, 3:], impossible[:, 3:], (error - impossible)[:, 3:]
         distance, attitude, lost, possible = (np.linalg.norm(part, axis=-1) for part in parts)
-        reached = (distance <= position_tolerance) & (possible <= attitude_limit)
+        reached = (distance <= position_tolerance) & (position_only | (possible <= attitude_tolerance))
         return InverseSolution(q, reached, distance, attitude, lost)
 
     solution = judge(goals, _descend(geometry, goals, first, rank_tolerance, max_iterations, parts))
@@ -132,10 +124,9 @@ def inverse(
         if not open_.size:
             break
         some = Pose(goals.position[open_], goals.rotation[open_])
-        begin = solution.joints[open_]
+        begin, tolerance = solution.joints[open_], min(rank_tolerance, NUMERIC_TOLERANCE)
         if offset is not None:
-            begin = np.broadcast_to(middle + 0.9 * half * offset, begin.shape)
-        tolerance = rank_tolerance if offset is not None else min(rank_tolerance, NUMERIC_TOLERANCE)
+            begin, tolerance = np.broadcast_to(middle + 0.9 * half * offset, begin.shape), rank_tolerance
         new = judge(some, _descend(geometry, some, begin, tolerance, max_iterations, parts))
         better = new.reached | ((_cost(new) < _cost(solution)[open_]) & (offset is not None))
         solution.joints[open_[better]] = new.joints[better]

@@ -84,9 +84,7 @@ class Trace:
             operands: Indices in the trace, from 0, of the operations whose results are its operands.
             detail: Array name and row (from 0) of an input, or value of a constant.
         """
-        if name in COMMUTATIVE and operands[0] > operands[1]:
-            operands = operands[::-1]
-        operation = Operation(name, kind, operands, detail)
+        operation = Operation(name, kind, tuple(sorted(operands)) if name in COMMUTATIVE else operands, detail)
         if operation not in self._known:
             self._known[operation] = len(self.operations)
             self.operations.append(operation)
@@ -335,17 +333,13 @@ class Compiled:
         self._loops = [FUNCTION(address) for address in addresses]
         self._between: dict[str, Array] = {}
 
-    def run(self, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
-        """Compute the outputs from the inputs.
+    def bound(self, arrays: Mapping[str, NDArray[Any]], count: int) -> Callable[[], None]:
+        """Return a function without arguments that computes the outputs from the inputs, in these arrays at each call.
 
         Args:
             arrays: Input and output arrays by name, ``(rows, count)``, C-contiguous; the outputs are overwritten.
             count: Number of poses.
         """
-        self.bound(arrays, count)()
-
-    def bound(self, arrays: Mapping[str, NDArray[Any]], count: int) -> Callable[[], None]:
-        """Return a function without arguments that does what `run` does, with these arrays at each call."""
         if self._calls and (not self._between or self._between["given0"].shape[1] != count):
             for i, (_, values, rows) in enumerate(self._calls):
                 self._between[f"given{i}"] = np.empty((len(values), count))
@@ -378,7 +372,7 @@ def on_rows(formula: Callable[[Any, list[Traced]], Scalars], inputs: int, count:
 
     def run(rows: Array) -> Array:
         found = np.empty((len(results), len(rows)))
-        code.run({"given": np.ascontiguousarray(rows.T), "found": found}, len(rows))
+        code.bound({"given": np.ascontiguousarray(rows.T), "found": found}, len(rows))()
         return found.T
 
     return run
@@ -449,8 +443,7 @@ class _Body:
         for number, array, row in goals:
             value, kind = self._values[number], operations[number].kind
             place, memory = self._place(array, row, kind)
-            if kind == FLAG:
-                value = self._new(f"zext {self._type(FLAG)} {value} to {memory}")
+            value = self._new(f"zext {self._type(FLAG)} {value} to {memory}") if kind == FLAG else value
             self.lines.append(f"  store {memory} {value}, ptr {place}, align 1")
 
     def _value(self, operation: Operation) -> str:

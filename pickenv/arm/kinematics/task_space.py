@@ -341,11 +341,9 @@ def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple
 
 
 DIRECTION_TOLERANCE = 5e-3
-"""Share of the largest singular value below which joint motion cannot move the tool in a direction.
-
-On the picking arm the fifth singular value stays above 0.11 times the first. A real picking arm's sixth singular value
-stays below 0.001 times the first.
-"""
+"""Share of the largest singular value below which joint motion cannot move the tool in a direction. On the picking arm
+the fifth singular value stays above 0.11 times the first. A real picking arm's sixth singular value stays below 0.001
+times the first."""
 
 
 POSITION_FIRST = 0.05

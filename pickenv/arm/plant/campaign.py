@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -174,8 +174,7 @@ class Instrument:
 
     def noise_on(self, plant: Plant) -> MeasurementNoise | None:
         """Return the instrument's ``noise``; if it is None, the plant's effect "measurement_noise", or None."""
-        noise: MeasurementNoise | None = plant.effect("measurement_noise") if self.noise is None else self.noise
-        return noise
+        return self.noise or cast(MeasurementNoise | None, plant.effect("measurement_noise"))
 
 
 class NormalDraws(NamedTuple):

@@ -38,9 +38,6 @@ VARIATION_POSES = (0, 1, 3)
 FEWEST_CYCLES = 3
 """Least number of measurements for RP: two have the same distance from their mean, whose deviation is always zero."""
 
-NO_SCATTER = 1e-9
-"""Scatter below this value counts as rounding, for positions and for attitudes."""
-
 NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / math.pi)
 """RP_l of normal noise with standard deviation 1 in each of three axes, whose norm has a Maxwell distribution."""
 
@@ -401,7 +398,7 @@ def _interval_of_scatter(values: Array, scatter: Callable[[Array], float]) -> En
 
     def logarithm(some: Array) -> float:
         size = scatter(some)
-        return math.log(size) if size > NO_SCATTER else math.nan
+        return math.log(size) if size > 1e-9 else math.nan  # less is rounding, of positions and of attitudes
 
     ends = statistic_interval(values, logarithm, CYCLES)
     return None if ends is None else (math.exp(ends[0]), math.exp(ends[1]))

@@ -211,17 +211,12 @@ def with_drawn_constants(plant: Plant, draw: int) -> Plant:
 IDEAL = "ideal"
 """Name of the plant without any error, whose true geometry is the nominal one."""
 
-FIRST_ARM = "qiao2026"
-"""Arm or plant that is used if a plant's name is only "ideal" or "CLASS:", without an arm."""
-
 SAMPLES = 2**10
 """Number of poses from which a joint's largest gravity torque is computed."""
 
 LEAST_TORQUE = 0.01
-"""Lower bound of the largest torque for computing a joint's stiffness and preload.
-
-It is a share of the largest torque of all joints of the same type (revolute or prismatic).
-"""
+"""Lower bound of the largest torque for computing a joint's stiffness and preload. It is a share of the largest torque
+of all joints of the same type (revolute or prismatic)."""
 
 
 def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
@@ -302,9 +297,8 @@ def rods(arm: Arm) -> Load:
     Each rod runs from a joint to the next, or to the tool, with slides in the middle of their range.
     """
     g = arm.nominal
-    middle = np.where(g.prismatic, (g.lower + g.upper) / 2, 0.0)
     after = np.arange(1, g.joints)
-    d = g.d[after] + middle[after]
+    d = g.d[after] + np.where(g.prismatic, (g.lower + g.upper) / 2, 0.0)[after]
     ends = np.stack([g.a[after], -d * np.sin(g.alpha[after]), d * np.cos(g.alpha[after])], axis=-1)
     ends = np.concatenate([ends, g.tool.position[None]])
     mass = np.linalg.norm(ends, axis=-1)
@@ -320,10 +314,13 @@ def _largest_torques(arm: Arm, load: Load) -> Array:
 
 
 def _split(name: str | Path) -> tuple[str, str]:
-    """Split a name such as "coarse:ur5e" into two: tolerance class or "ideal" (empty if neither), and arm or plant."""
+    """Split a name such as "coarse:ur5e" into two: tolerance class or "ideal" (empty if neither), and arm or plant.
+
+    After "ideal" or "CLASS:" without an arm, the arm is "qiao2026".
+    """
     kind, colon, arm_name = str(name).partition(":")
     if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
-        return kind, arm_name or FIRST_ARM
+        return kind, arm_name or "qiao2026"
     if colon and not is_file(str(name)) and (arm_name in (*shipped_arms(), *shipped_plants())):
         names = ", ".join((IDEAL, *shipped_tolerances()))
         raise InputError(f"unknown tolerance class '{shortened(kind)}'; give one of {names}, or a path (.toml)")

@@ -66,7 +66,7 @@ class CompiledBatch(NumpyBatch):
         if part not in self._code:
             with naming_effects(self.plant, "compiled"):
                 self._code[part] = self._compiled(part)
-        self._code[part].run(arrays, self.count)
+        self._code[part].bound(arrays, self.count)()
 
     def _compiled(self, part: str) -> Compiled:
         trace = Trace()

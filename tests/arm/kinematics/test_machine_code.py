@@ -45,7 +45,7 @@ def compiled(formula, count):
 
     def run(given):
         out, rounded = np.empty((1, given.shape[1])), np.empty((1, given.shape[1]), np.float32)
-        code.run({"given": given, "found": out, "rounded": rounded}, given.shape[1])
+        code.bound({"given": given, "found": out, "rounded": rounded}, given.shape[1])()
         return out[0], rounded[0]
 
     return run
@@ -95,7 +95,7 @@ def test_words_wrap_and_flags_are_kept():
     outputs = trace.outputs("share", [share], DOUBLE) + trace.outputs("below", [below], FLAG)
     words, numbers = np.random.default_rng(0).integers(2**64, size=33, dtype=np.uint64), np.linspace(0, 1, 33)
     found = {"share": np.empty(33), "below": np.empty(33, bool)}
-    Compiled(trace, outputs, 33).run({"words": words, "numbers": numbers} | found, 33)
+    Compiled(trace, outputs, 33).bound({"words": words, "numbers": numbers} | found, 33)()
     with np.errstate(over="ignore"):
         mixed = (words ^ (words >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9) + np.uint64(0x9E3779B97F4A7C15)
     np.testing.assert_array_equal(found["share"], (mixed >> np.uint64(11)).astype(float) * 2.0**-53)
@@ -113,7 +113,7 @@ def test_functions_of_whole_arrays_are_called_one_after_the_other():
     code = Compiled(trace, trace.outputs("found", [again * total]), 3000)
     for count in (3000, 7):
         given, found = np.random.default_rng(0).normal(size=(2, count)), np.empty((1, count))
-        code.run({"given": given, "found": found}, count)
+        code.bound({"given": given, "found": found}, count)()
         doubled = 2.0 * given
         expected = (doubled.sum(axis=0) + doubled[0] + 1.0) * doubled.sum(axis=0)
         np.testing.assert_allclose(found[0], expected, rtol=1e-14, atol=1e-14)

@@ -126,7 +126,7 @@ def test_whoever_runs_what_is_traced_is_told_of_large_rotations(angle):
     (large,) = trace.exceptions
     arrays = {"frames": np.array([*before, *after]), "vector": np.empty((3, 2)), "large": np.empty((1, 2))}
     outputs = trace.outputs("vector", vector) + trace.outputs("large", [SYMBOLS.where(large, 1.0, 0.0)])
-    Compiled(trace, outputs, 2).run(arrays, 2)
+    Compiled(trace, outputs, 2).bound(arrays, 2)()
     np.testing.assert_array_equal(arrays["large"], [[0.0, 1.0]])
     expected = np.stack(small_rotation(np, before, after))
     np.testing.assert_array_equal(arrays["vector"][:, 0], expected[:, 0])
