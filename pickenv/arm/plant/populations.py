@@ -218,16 +218,14 @@ def random_columns(plant: Plant) -> dict[str, range]:
     n, drives, waves = plant.arm.nominal.joints, plant.effect("transmission_error"), plant.effect("drive_harmonics")
     terms = len(drives.harmonics) if drives is not None else 0
     count, structure = len(waves.spread) if waves is not None else 0, plant.effect("local_structure")
-    sizes = {
-        **{"geometry": 4 * n, "temperature_rise": 1},
-        **{"joint_stiffness": n, "backlash": n, "friction": 2 * n, "frequency": n, "damping": n},
-        **{"ground_stiffness": 2, "sinkage": 2, "flexural_rigidity": 1, "roller_clearance": 1, "warm_up_time": 1},
-        **{"lead": n, "transmission_error": terms, "phase": terms, "kept free": 2 * max(SPARE - terms, 0)},
-        **{"bearing_stiffness": n, "drive_harmonics": 3 * count, "kept free too": 3 * max(SPARE - count, 0)},
-        # Last come those whose number depends on the plant.
-        "local_structure": structure.weights if structure is not None else 0,
-        **{f"own {effect.name}": len(effect.own_sizes()) for effect in plant.effects if effect.own_sizes()},
-    }
+    sizes = {"geometry": 4 * n, "temperature_rise": 1}
+    sizes |= {"joint_stiffness": n, "backlash": n, "friction": 2 * n, "frequency": n, "damping": n}
+    sizes |= {"ground_stiffness": 2, "sinkage": 2, "flexural_rigidity": 1, "roller_clearance": 1, "warm_up_time": 1}
+    sizes |= {"lead": n, "transmission_error": terms, "phase": terms, "kept free": 2 * max(SPARE - terms, 0)}
+    sizes |= {"bearing_stiffness": n, "drive_harmonics": 3 * count, "kept free too": 3 * max(SPARE - count, 0)}
+    # Last come those whose number depends on the plant.
+    sizes |= {"local_structure": structure.weights if structure is not None else 0}
+    sizes |= {f"own {effect.name}": len(effect.own_sizes()) for effect in plant.effects if effect.own_sizes()}
     edges = np.cumsum([0, *sizes.values()]).tolist()
     return {key: range(a, b) for key, a, b in zip(sizes, edges, edges[1:], strict=False)}
 
@@ -417,12 +415,10 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
     if (field := posterior.field) is not None:
         arrays |= {"frequency": field.features.frequency, "centre": np.array(field.features.centre)}
         arrays |= {name: np.array(getattr(field, name)) for name in ("weight", "offset", "turn")}
-    header = {
-        **{"name": plant.name, "arm": plant.arm.name, "source": plant.arm.source},
-        **{"joint_names": nominal.joint_names, "prismatic": nominal.prismatic, "layout": asdict(posterior.layout)},
-        "periodic": None if field is None else field.features.periodic,
-        **{"noise": None if noise is None else vars(noise), "notes": posterior.notes},
-    }
+    header: dict[str, Any] = {"name": plant.name, "arm": plant.arm.name, "source": plant.arm.source}
+    header |= {"joint_names": nominal.joint_names, "prismatic": nominal.prismatic, "layout": asdict(posterior.layout)}
+    header |= {"periodic": None if field is None else field.features.periodic}
+    header |= {"noise": None if noise is None else vars(noise), "notes": posterior.notes}
     return write_container(path, TWIN, header, arrays, version=TWIN_FORMAT)
 
 
