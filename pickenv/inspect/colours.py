@@ -45,6 +45,8 @@ BY_KEY: dict[str, Rgb] = {
     "best": PURPLE,
 }
 OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (150, 140, 20), (150, 150, 150))
+METHODS = (BLUE, GREEN, *OTHERS[:2], GREY)
+"""Colours of methods other than raw, used in turn."""
 NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
 TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / "words.toml").read_text("utf-8"))
 """Texts that readers see, by table, and within a table by the short names that files and commands use."""

@@ -51,8 +51,7 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             style.plain_decades(axes.yaxis)
         first, last = (style.short(float(rms[i])) for i in (0, -1))
-        count = len(rms) - 1
-        style.headline(panels[0], f"Least squares: {first} to {last} mm in {count_of(count, 'iteration')}")
+        style.headline(panels[0], f"Least squares: {first} to {last} mm in {count_of(len(rms) - 1, 'iteration')}")
     return figure
 
 

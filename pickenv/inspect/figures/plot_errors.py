@@ -53,6 +53,7 @@ MOST_VIEWS, BESIDE = 9, 3
 PICTURE_WIDTH, FAINT = 320, 0.4
 """Width, px, and opacity of the pictures behind arrows."""
 ARROWS: dict[str, Any] = QUIVER | {"scale": 1.0, "width": 0.008, "zorder": 2.0}
+CENTRED = {"axes.titlelocation": "center"}
 GROUPS = 8
 """Largest number of groups of poses whose mean errors are drawn against a possible cause."""
 WIDEST = 16
@@ -76,8 +77,7 @@ def error_fields(comparison: Comparison) -> Figure:
     view = _View(comparison)
     width, height = view.high - view.low
     height = min(0.93 * PANEL_WIDTH * height / width, PANEL_WIDTH)
-    look = {"axes.titlelocation": "center"}
-    with style.new_figure(PANEL_WIDTH * max(len(policies), 3), height + BESIDE_PANELS, **look) as figure:
+    with style.new_figure(PANEL_WIDTH * max(len(policies), 3), height + BESIDE_PANELS, **CENTRED) as figure:
         panels = figure.subplots(1, len(policies), squeeze=False)[0]
         means = {}
         for axes, policy in zip(panels, policies, strict=True):
@@ -173,7 +173,7 @@ def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, to
     colours = viridis(np.linalg.norm(error, axis=-1) * 1e3 / top) / 255.0
     tail, tip = view.flat(start), view.flat(start + gain * error)
     outlines = list(_arrow_outlines(tail, tip, 0.011 * view.radius))
-    axes.scatter(tail[:, 0], tail[:, 1], s=2.2, color=style.SOFT, linewidths=0.0, zorder=2.0)
+    axes.scatter(*tail.T, s=2.2, color=style.SOFT, linewidths=0.0, zorder=2.0)
     look: dict[str, Any] = {"edgecolors": style.SOFT, "linewidths": 0.3, "zorder": 3.0, "clip_on": False}
     axes.add_collection(PolyCollection(outlines, facecolors=colours, **look))
 
@@ -198,12 +198,11 @@ def _arrow_outlines(tail: Array, tip: Array, width: float) -> Array:
 def _box(axes: Axes, view: _View) -> None:
     """Draw a wire box around the field, with each axis's range written along one of its edges."""
     farthest = int(np.argmin(view.depth(view.corners)))
-    near: dict[str, Any] = {"linewidth": 0.9, "linestyle": "-", "alpha": 1.0}
-    hidden: dict[str, Any] = {"linewidth": 0.5, "linestyle": ":", "alpha": 0.6}
     for edge in itertools.combinations(range(8), 2):
         if (edge[0] ^ edge[1]).bit_count() == 1:
-            look = hidden if farthest in edge else near
-            axes.plot(*view.flat(view.corners[list(edge)]).T, color=style.SOFT, zorder=1.0, **look)
+            width, line, alpha = (0.5, ":", 0.6) if farthest in edge else (0.9, "-", 1.0)
+            ends = view.flat(view.corners[list(edge)])
+            axes.plot(*ends.T, color=style.SOFT, zorder=1.0, linewidth=width, linestyle=line, alpha=alpha)
     for axis in range(3):
         _axis_text(axes, view, axis)
 
@@ -223,8 +222,7 @@ def _axis_text(axes: Axes, view: _View, axis: int) -> None:
     angle = 90.0 - (90.0 - np.degrees(np.arctan2(along[1], along[0]))) % 180.0
     words = f"{'xyz'[axis]} (m): {values[low]:.2f} to {values[high]:.2f}".replace("-", "−")
     look: dict[str, Any] = {"ha": "center", "va": "center", "rotation": angle, "fontsize": 7.5, "zorder": 4.0}
-    x, y = middle + 0.1 * view.radius * outward
-    axes.text(x, y, words, **look)
+    axes.text(*(middle + 0.1 * view.radius * outward), words, **look)
 
 
 def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
@@ -232,11 +230,10 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
     if not len(comparison.fruit):
         return
     nearest = int(np.argmin(np.linalg.norm(comparison.fruit - view.centre, axis=-1)))
-    points = nominal_points(comparison.nominal, comparison.policies[0].ends.joint_command[nearest])
-    flat = view.flat(points)
-    for i, (a, b) in enumerate(itertools.pairwise(flat)):
+    flat = view.flat(nominal_points(comparison.nominal, comparison.policies[0].ends.joint_command[nearest]))
+    for i in range(len(flat) - 1):
         thickness = 6.0 - 3.5 * i / (len(flat) - 1)
-        axes.plot(*np.stack([a, b]).T, color=style.RULE, linewidth=thickness, solid_capstyle="round", zorder=1.5)
+        axes.plot(*flat[i : i + 2].T, color=style.RULE, linewidth=thickness, solid_capstyle="round", zorder=1.5)
 
 
 def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
@@ -250,10 +247,9 @@ def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> Non
     """
     scale = ScalarMappable(Normalize(0.0, top), "viridis")
     look: dict[str, Any] = {"location": "bottom", "aspect": 60, "shrink": 0.8, "pad": 0.02, "extend": "max"}
-    bar = style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
-    bar.set_ticks(summary.ticks(top))
     end = f"the colour saturates above {top:.3g} mm, the {summary.SCALE_PERCENTILE:g}th percentile of {first}"
-    bar.set_label(f"position error (mm); {end}", color=style.INK)
+    look |= {"ticks": summary.ticks(top), "label": f"position error (mm); {end}"}
+    style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
 
 
 def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: float) -> Figure:
@@ -287,9 +283,7 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
     gain = field_gain(step, top)
     low, high = points.min(axis=0) - step, points.max(axis=0) + step
     height = (style.WIDTH - 0.9) / len(layers) * (high[up] - low[up]) / (high[across] - low[across])
-    with style.new_figure(
-        style.WIDTH, 1.4 + len(fields) * (height + 0.1), **{"axes.titlelocation": "center"}
-    ) as figure:
+    with style.new_figure(style.WIDTH, 1.4 + len(fields) * (height + 0.1), **CENTRED) as figure:
         panels: Any = figure.subplots(len(fields), len(layers), squeeze=False, sharex=True, sharey=True)
         for row, (label, field) in enumerate(fields.items()):
             for column, number in enumerate(layers):
@@ -323,11 +317,9 @@ def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position
     with style.new_panel(style.WIDTH, 2.9, "test pose (number)", f"{quantity} ({unit})", legend=2) as (figure, axes):
         style.headline(axes, _better(series))
         for label, values, colour in style.coloured(series):
-            number = np.arange(1, len(values) + 1)
             name = f"{label}: mean {values.mean():.2f} {unit}, max {values.max():.2f} {unit}"
-            axes.plot(number, values, "o", color=colour, label=name, markersize=3.0)
-        longest = max(len(values) for values in series.values())
-        axes.set(xlim=(0.5, longest + 0.5), yscale="log")
+            axes.plot(np.arange(1, len(values) + 1), values, "o", color=colour, label=name, markersize=3.0)
+        axes.set(xlim=(0.5, max(map(len, series.values())) + 0.5), yscale="log")
         style.plain_decades(axes.yaxis)
     return figure
 

@@ -17,18 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from pickenv.base import Estimate, InputError
-from pickenv.inspect.colours import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    OTHERS,
-    RED,
-    as_sentence,
-    in_words,
-    policy_colours,
-    policy_label,
-)
+from pickenv.inspect.colours import GREY, METHODS, ORANGE, RED, as_sentence, in_words, policy_colours, policy_label
 from pickenv.inspect.figures import style
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
@@ -40,8 +29,6 @@ UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
 LINE_INCHES = 0.17
 """Height of a whisker with its margin, inches."""
 
-METHODS = (BLUE, GREEN, *OTHERS[:2], GREY)
-"""Colours of methods other than raw, used in turn."""
 ALIKE = 0.01
 """Methods whose errors differ by less than this share everywhere are drawn as one line."""
 
@@ -361,8 +348,6 @@ def accuracy_against_cycle_time(
     Raises:
         InputError: If there is no curve, or one is empty or not finite.
     """
-    if not curves:
-        raise InputError("there is no curve to draw; give at least one")
     series = style.finite_series({", ".join(labels): error for labels, error in curves.items()})
     errors = [error.clip(SMALLEST) for error in series.values()]
     patterns = dict(zip(dict.fromkeys(policy for policy, _ in curves), style.LINES * len(curves), strict=False))
@@ -379,8 +364,7 @@ def accuracy_against_cycle_time(
         front = np.minimum.accumulate(np.min([error[:shortest] for error in errors], axis=0))
         policy = f"{first} on {in_words(title)}" if title else first
         style.headline(axes, f"{policy} after {period * len(errors[0]):.1f} s: {style.change(ends, 'mm')}", beside=1.2)
-        grey = style.rgb([GREY])[0]
-        axes.plot(times[:shortest], front, color=grey, linewidth=6, zorder=0, label="best so far")
+        axes.plot(times[:shortest], front, color=style.rgb([GREY])[0], linewidth=6, zorder=0, label="best so far")
         for policy, pattern in patterns.items():
             axes.plot([], [], linestyle=pattern, color=style.SOFT, label=style.label_words(policy))
         for name, colour in colours.items():
