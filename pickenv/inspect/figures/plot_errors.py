@@ -173,7 +173,7 @@ def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, to
     colours = viridis(np.linalg.norm(error, axis=-1) * 1e3 / top) / 255.0
     tail, tip = view.flat(start), view.flat(start + gain * error)
     outlines = list(_arrow_outlines(tail, tip, 0.011 * view.radius))
-    axes.scatter(*tail.T, s=2.2, color=style.SOFT, linewidths=0.0, zorder=2.0)
+    axes.scatter(tail[:, 0], tail[:, 1], s=2.2, color=style.SOFT, linewidths=0.0, zorder=2.0)
     look: dict[str, Any] = {"edgecolors": style.SOFT, "linewidths": 0.3, "zorder": 3.0, "clip_on": False}
     axes.add_collection(PolyCollection(outlines, facecolors=colours, **look))
 
@@ -222,7 +222,8 @@ def _axis_text(axes: Axes, view: _View, axis: int) -> None:
     angle = 90.0 - (90.0 - np.degrees(np.arctan2(along[1], along[0]))) % 180.0
     words = f"{'xyz'[axis]} (m): {values[low]:.2f} to {values[high]:.2f}".replace("-", "−")
     look: dict[str, Any] = {"ha": "center", "va": "center", "rotation": angle, "fontsize": 7.5, "zorder": 4.0}
-    axes.text(*(middle + 0.1 * view.radius * outward), words, **look)
+    x, y = middle + 0.1 * view.radius * outward
+    axes.text(x, y, words, **look)
 
 
 def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:

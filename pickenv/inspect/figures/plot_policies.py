@@ -86,8 +86,7 @@ def estimates_figure(
                     y = line + 0.8 * ((keys.index(key) + 0.5) / len(keys) - 0.5)
                     style.whisker(axis, y, number.value, number.ci95, colours[key])
                 axis.set_yticks(range(len(places)), labels)
-                axis.set_ylim(len(places) - 0.5, -0.5)
-                axis.set_xscale("log" if log else "linear")
+                axis.set(ylim=(len(places) - 0.5, -0.5), xscale="log" if log else "linear")
             if log:
                 style.plain_decades(axis.xaxis if x is None else axis.yaxis)
         if x is None:

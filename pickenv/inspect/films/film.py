@@ -396,8 +396,7 @@ def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
     policy in the film. The components are those of `seen_along`, which views the fruit along the tool's axis.
     """
     policy, attempts = film.policies[side], film.attempts[side]
-    closed = [(e, close) for e in range(episode) for _, close, *_ in attempts[e]]
-    closed += [(episode, close) for _, close, *_ in attempts[episode] if close <= now]
+    closed = [(e, t) for e in range(episode + 1) for _, t, *_ in attempts[e] if e < episode or t <= now]
     ahead = film.eye.axes()[2]
     marks = [seen_along(tool_axis(policy, *at), grasp_offset(policy, *at), ahead) for at in closed]
     return 1e3 * np.reshape(marks, (-1, 2))

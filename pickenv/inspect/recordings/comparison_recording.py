@@ -177,9 +177,8 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     for i, (policy, colour) in enumerate(zip(comparison.policies, comparison.colours, strict=True)):
         numbers, _ = np.histogram(policy.ends.position_error_mm, edges)
         middle = f32((edges[:-1] + edges[1:]) / 2.0 + (i - (count - 1) / 2.0) * width)
-        widths = f32(np.full(len(numbers), width))
-        chart = rr.BarChart(numbers, abscissa=middle, widths=widths, color=(*colour, 255))
-        scribe.still(f"hist/{lane(policy.key)}", chart)
+        look: Any = {"abscissa": middle, "widths": f32(np.full(len(numbers), width)), "color": (*colour, 255)}
+        scribe.still(f"hist/{lane(policy.key)}", rr.BarChart(numbers, **look))
 
 
 # The default layout: fields side by side on top, reaches and numbers below. All 3D views start with the same eye, and

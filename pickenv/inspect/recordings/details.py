@@ -138,24 +138,23 @@ def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     alone. A third tab has the attitude errors, if they are known.
     """
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
-    errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
+    errors = {f"world/field/{p.key}/vectors": _titled(p.label, p.field_errors, "arrows ") for p in policies}
     if len(policies) > 1:
-        before, last = policies[-2:]
-        removed = before.field_errors - last.field_errors
-        errors["world/field/removed/vectors"] = "removed by the last model", "", removed
+        removed = policies[-2].field_errors - policies[-1].field_errors
+        errors["world/field/removed/vectors"] = _titled("removed by the last model", removed)
     effects = effect_fields(comparison)
-    single = {f"world/effect/{name}": (name.replace("_", " "), "", field) for name, field in effects.items()}
-    tabs: dict[str, ArrowTab] = {}
-    for name, fields in ((f"Error fields, arrows ×{GAIN:g}", errors), ("Effects, each alone", single)):
-        if not fields:
-            continue
-        views = {}
-        for entity, (label, arrows, field) in fields.items():
-            mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
-            views[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{GAIN:g}", GAIN * field, 1e3 * field
-        tabs[name] = "mm", top, views
+    single = {f"world/effect/{name}": _titled(name.replace("_", " "), field) for name, field in effects.items()}
+    tabs: dict[str, ArrowTab] = {f"Error fields, arrows ×{GAIN:g}": ("mm", top, errors)}
+    if single:
+        tabs["Effects, each alone"] = "mm", top, single
     attitude = attitude_fields(comparison)
     return tabs | {"Attitude": _attitude_tab(comparison, attitude)} if attitude else tabs
+
+
+def _titled(label: str, field: Array, arrows: str = "") -> tuple[str, Array, Array]:
+    """Return the entry of an `ArrowTab` for position errors ``field`` ``(F, 3)``, m; ``arrows`` precedes the factor."""
+    mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
+    return f"{label} | mean {mean:.2f} mm | {arrows}×{GAIN:g}", GAIN * field, 1e3 * field
 
 
 def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> ArrowTab:
@@ -179,12 +178,8 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
     """
     plant, joints = comparison.plant, comparison.grid.joints
     nominal = forward(comparison.nominal, joints).position
-    fields = {}
-    for name in causes_of(plant):
-        field = alone(plant, name).tool_pose(joints).position - nominal
-        if np.abs(field).max(initial=0.0) > NO_FIELD:
-            fields[name] = field
-    return fields
+    fields = {name: alone(plant, name).tool_pose(joints).position - nominal for name in causes_of(plant)}
+    return {name: field for name, field in fields.items() if np.abs(field).max(initial=0.0) > NO_FIELD}
 
 
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:

@@ -42,9 +42,7 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
     Raises:
         InputError: If the file cannot be written.
     """
-    env = episodes.env_id.rpartition("/")[2]
-    plant = [episodes.plant_name] if episodes.plant else []
-    identity = ":".join([env, *plant, f"seed{episodes.seed}", "compared"])
+    names = episodes.env_id.rpartition("/")[2], episodes.plant_name, f"seed{episodes.seed}", "compared"
 
     def send(stream: rr.RecordingStream) -> None:
         labels = [policy.label for policy in episodes.policies]
@@ -53,7 +51,7 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
         if isinstance(episodes, Comparison):
             _send_fields(stream, episodes)
 
-    return write_recording(path, identity, _blueprint(episodes), send)
+    return write_recording(path, ":".join(filter(None, names)), _blueprint(episodes), send)
 
 
 def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
@@ -108,14 +106,11 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
 
     The difference is the first policy's errors minus the last policy's errors. For a single policy there is none.
     """
-    fields = []
-    for policy in comparison.policies:
-        mean, *_ = error_spread(field_mm(policy))
-        fields.append((lane(policy.key), f"{policy.label}: {mean:.3f} mm", policy.field_errors))
-    first, last = comparison.policies[0], comparison.policies[-1]
+    policies = comparison.policies
+    first, last = policies[0], policies[-1]
+    fields = [(lane(p.key), f"{p.label}: {error_spread(field_mm(p))[0]:.3f} mm", p.field_errors) for p in policies]
     if first is not last:
-        removed = first.field_errors - last.field_errors
-        fields.append(("9_difference", f"{first.label} minus {last.label}", removed))
+        fields.append(("9_difference", f"{first.label} minus {last.label}", first.field_errors - last.field_errors))
     return fields
 
 
@@ -130,9 +125,7 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
     distance = 0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))
     eye = middle + distance * entities.EYE
-    subject = "Tool and fruit"
-    if episodes.nominal is not None:
-        subject = f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
+    subject = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
     # The arm at true size stands in the enlarged one and would hide it.
     hidden = [f"- /side/{lane(policy.key)}/arm/true/**" for policy in episodes.policies]
     side = seen_from(eye, middle, "/side", ["+ /side/**", *hidden], f"{subject}; last episode")
@@ -143,13 +136,11 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
         rrb.Vertical(entities.distance_plot("Distance to the fruit"), target),
         name="Who is better",
     )
-    tabs: list[Any] = [first]
-    if isinstance(episodes, Comparison):
-        tabs.append(_field_tab(episodes))
+    fields = [_field_tab(episodes)] if isinstance(episodes, Comparison) else []
     info = rows_of(episodes.policies[0], arm=False)[0].info
     lanes = view_of(rrb.StateTimelineView, "outcome", "Success, last episode")
-    tabs.append(rrb.Vertical(rrb.Horizontal(*entities.number_plots(info)), lanes, name="Numbers"))
-    return entities.at_the_end(rrb.Tabs(*tabs, active_tab=0))
+    numbers = rrb.Vertical(rrb.Horizontal(*entities.number_plots(info)), lanes, name="Numbers")
+    return entities.at_the_end(rrb.Tabs(first, *fields, numbers, active_tab=0))
 
 
 def _field_tab(comparison: Comparison) -> Any:

@@ -163,15 +163,14 @@ def _template() -> Template:
         undefined=StrictUndefined,
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    environment.globals |= {"library": library, "bar_place": bar_place}
-    environment.globals |= {"largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
-    filters: dict[str, Callable[..., Any]] = {
-        "base64": lambda content: base64.b64encode(content).decode(),
-        "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
-        "kind": lambda part: type(part).__name__,
-        "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
-    }
-    environment.filters |= filters
+    scales = {"largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
+    environment.globals.update(library=library, bar_place=bar_place, **scales)
+    environment.filters.update(
+        base64=lambda content: base64.b64encode(content).decode(),
+        drawn=lambda drawing: inline_svg(drawing.draw(), drawing.name),
+        kind=lambda part: type(part).__name__,
+        source=lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
+    )
     return environment.get_template("page.html")
 
 

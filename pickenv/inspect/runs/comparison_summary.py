@@ -31,13 +31,12 @@ from pickenv.orchard import Gripper, capture_probability, load_gripper, misalign
 
 
 GRIPPERS = ("li_cup", "compliant_hand")
-CURVE_MM = np.linspace(0.0, 40.0, 401)
-"""Lateral misalignments at which the curve of a gripper's success is drawn, mm."""
 
 
 def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, Array]]:
     """Return, for each gripper, lateral misalignments ``(N,)``, mm, and the probability of success at each ``(N,)``."""
-    return {name: (CURVE_MM, capture_probability(load_gripper(name), CURVE_MM * 1e-3, 0.0, 0.0)) for name in names}
+    lateral_mm = np.linspace(0.0, 40.0, 401)
+    return {name: (lateral_mm, capture_probability(load_gripper(name), lateral_mm * 1e-3, 0.0, 0.0)) for name in names}
 
 
 def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]:
@@ -49,7 +48,7 @@ def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]
         For each policy, by label: distances of the fruit from the tool's axis ``(R,)``, mm, and for each gripper the
         probability that it takes the fruit ``(R,)``.
     """
-    grippers: dict[str, Gripper] = {name: load_gripper(name) for name in GRIPPERS}
+    grippers = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
     by_policy = {}
     for policy in comparison.policies:
@@ -226,9 +225,8 @@ def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]
     attitudes = _finite(after.attitude_error_deg[:, -1] - before.attitude_error_deg[:, -1])
     ends = mean_interval(misses)
     tries = np.concatenate([tries_of(before), tries_of(after)])
-    single = bool((tries == 1).all())
     shares = [_policy_row(policy)["share_picked"] for policy in (before, after)]
-    share_ends = paired_share_interval(after.picked[:, -1] > 0, before.picked[:, -1] > 0) if single else None
+    picks = after.picked[:, -1] > 0, before.picked[:, -1] > 0
     return {
         "from": before.label,
         "to": after.label,
@@ -239,7 +237,7 @@ def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]
         "attitude_deg": _mean(attitudes),
         "attitude_ci95_deg": _ends(mean_interval(attitudes)),
         "share_picked": None if None in shares else shares[1] - shares[0],
-        "share_ci95": _ends(share_ends),
+        "share_ci95": _ends(paired_share_interval(*picks) if (tries == 1).all() else None),
         "nearer": int(np.sum(misses < 0.0)),
     }
 
@@ -250,8 +248,7 @@ def policy_cells(episodes: RecordedEpisodes) -> list[list[str]]:
         [
             row["policy"],
             said(row["mean_mm"], row["ci95_mm"], 3),
-            said(row["median_mm"], None, 3),
-            said(row["p95_mm"], None, 3),
+            *(said(row[name], None, 3) for name in ("median_mm", "p95_mm")),
             said(row["attitude_deg"], row["attitude_ci95_deg"], 3),
             f"{row['picked']} of {row['tried']}",
             said(row["share_picked"], row["share_ci95"], 0, 100.0),
@@ -474,8 +471,7 @@ def colour_scale_mm(comparison: Comparison) -> float:
 def uncertainty_scale_mm(comparison: Comparison) -> float:
     """Return the upper end, mm, of the colour scale for both the predicted uncertainty and the last policy's errors."""
     assert comparison.field_uncertainty is not None
-    lengths = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
-    return scale_end(lengths)
+    return scale_end(np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])]))
 
 
 def scale_end(values: Array) -> float:
@@ -486,8 +482,7 @@ def scale_end(values: Array) -> float:
 
 def histogram_edges_mm(comparison: Comparison) -> Array:
     """Return the edges ``(B + 1,)``, mm, of about `BINS` bins of round width for the reach errors of all policies."""
-    errors = [policy.ends.position_error_mm for policy in comparison.policies]
-    largest = float(np.max(errors, initial=0.0))
+    largest = float(np.max([policy.ends.position_error_mm for policy in comparison.policies], initial=0.0))
     width = round_step((largest or 1.0) / BINS)
     return np.asarray(width * np.arange(int(largest / width) + 2))
 

@@ -290,14 +290,7 @@ def field_grid(nominal: Geometry, step: float, seed: int) -> FieldGrid:
     points = origin + index * step
     solution = inverse(nominal, Pose(points, np.eye(3)), restarts=1)
     inside = solution.reached
-    return FieldGrid(
-        shape=tuple(shape.tolist()),
-        origin=origin,
-        step=step,
-        index=index[inside],
-        points=points[inside],
-        joints=solution.joints[inside],
-    )
+    return FieldGrid(tuple(shape.tolist()), origin, step, index[inside], points[inside], solution.joints[inside])
 
 
 POSITIONS = ("tool_position", "fruit_position")

@@ -95,8 +95,7 @@ def eye_direction(comparison: Comparison) -> Array:
     outward = float(np.arctan2(y, x))
     along_x = width_y > width_x or (width_y == width_x and abs(x) > abs(y))
     normal = float(np.arctan2(0.0, x) if along_x else np.arctan2(y, 0.0))
-    side = 1.0 if np.sin(outward - normal) >= 0.0 else -1.0
-    turn = normal + side * EYE_TURN
+    turn = normal + np.copysign(EYE_TURN, np.sin(outward - normal))
     return np.array([np.cos(turn) * np.cos(EYE_LIFT), np.sin(turn) * np.cos(EYE_LIFT), np.sin(EYE_LIFT)])
 
 
@@ -403,7 +402,8 @@ def read_run(folder: str | Path) -> Run:
         text = record.read_text(encoding="utf-8")
         content = json.loads(text)
         file_format, kind = int(content["format"]), str(content["kind"])
-        others = {str(name): str(version) for name, version in content["versions"].items() if name not in versions()}
+        made_with = {str(name): str(version) for name, version in content["versions"].items()}
+    others = {name: version for name, version in made_with.items() if name not in versions()}
     if kind not in registry.names("report") and others:
         run_kind(kind, package=next(iter(others)), version=next(iter(others.values())))
     if file_format > FORMAT or kind not in registry.names("report"):
@@ -411,7 +411,6 @@ def read_run(folder: str | Path) -> Run:
     if file_format < FORMAT:
         raise InputError(f"{record} was written by an earlier version, without hashes of the run's files; {remake}")
     with refusing_damage(record, "a run's record", remake):
-        made_with = {str(name): str(version) for name, version in content["versions"].items()}
         files = {str(name): str(hashed) for name, hashed in content["files"].items()}
         seed = None if content["seed"] is None else int(content["seed"])
         run = Run(folder, kind, str(content["command"]), seed, made_with, str(content["code"]), files)
