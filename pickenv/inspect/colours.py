@@ -28,8 +28,7 @@ RED: Rgb = (208, 32, 38)
 GREY: Rgb = (150, 150, 158)
 STEEL: Rgb = (190, 194, 204)
 WHITE: Rgb = (255, 255, 255)
-"""Colour of text in 3D views. The viewer puts text on dark plates in its dark theme, and on light grey ones in its
-light theme."""
+"""Colour of text in 3D views, which the viewer puts on dark plates, or on light grey ones in its light theme."""
 FRUIT: Rgb = (222, 202, 160)
 
 BY_KEY: dict[str, Rgb] = {

@@ -35,8 +35,7 @@ from pickenv.inspect.runs.traces import ViewErrors
 PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.85
 """Width of one panel, and height of the titles and the colour bar together, inches."""
 MOST_ARROWS = 400
-"""Largest number of arrows in a panel. More arrows would cover each other. A larger field is therefore drawn at every
-second, third … cell along each axis only."""
+"""Largest number of arrows in a panel; a larger field is drawn at every second, third … cell along each axis only."""
 
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "headwidth": 3.5, "minlength": 0.0}
 """Matplotlib's settings for arrows whose vectors are in the units of the axes."""

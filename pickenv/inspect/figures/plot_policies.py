@@ -257,8 +257,7 @@ def difference_map(comparison: Comparison) -> Figure:
 
 
 Estimated = tuple[float, tuple[float | None, float | None] | None]
-"""An estimate and the two ends of its 95 % interval. An open end is None. If there is no interval, the pair of ends is
-None."""
+"""An estimate and the two ends of its 95 % interval: None for an open end, None in place of both for no interval."""
 
 
 def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> Figure:
@@ -382,8 +381,7 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
     """
     kinds = {"AP": style.finite_series(accuracy_mm), "RP": style.finite_series(repeatability_mm)}
     with style.new_figure(style.WIDTH, 2.6) as figure:
-        panels: Any = figure.subplots(1, 2)
-        for axes, (kind, series) in zip(panels, kinds.items(), strict=True):
+        for axes, (kind, series) in zip(figure.subplots(1, 2), kinds.items(), strict=True):
             for i, (label, values, colour) in enumerate(style.coloured(series)):
                 place = np.arange(1, len(values) + 1) + 0.35 * (i - (len(series) - 1) / 2.0)
                 axes.bar(place, values, 0.33, color=colour, label=f"{label}: worst {values.max():.3f} mm")

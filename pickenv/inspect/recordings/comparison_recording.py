@@ -40,7 +40,6 @@ from pickenv.inspect.runs.comparison_summary import GAIN, round_step, stage_labe
 from pickenv.inspect.runs.recorded_episodes import Comparison, FieldGrid, Reaches, RecordedPolicy, ended, field_grid
 from pickenv.inspect.runs.run_folder import eye_direction, shown_box
 
-TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008
 """Radius of a drawn fruit, m; smaller than an apple, so that a hundred fruit hide nothing."""
 
@@ -61,7 +60,7 @@ def record_comparison(comparison: Comparison, path: str | Path) -> Path:
     """
     _check(comparison)
     arrows, day = details.arrow_tabs(comparison), details.day_of(comparison)
-    times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
+    times = [rr.TimeColumn("reach", sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
     return write_recording(
         path,
         f"{comparison.plant.name}:seed{comparison.seed}",
@@ -206,9 +205,6 @@ def space(comparison: Comparison, name: str, contents: list[str], origin: str = 
     return seen_from(eye, centre, origin, [*contents, "+ /world/workspace", "+ /world/axes"], name, **more)
 
 
-REACHES_PER_SECOND = 2.0
-
-
 def comparison_blueprint(
     comparison: Comparison, arrows: Mapping[str, details.ArrowTab], day: details.Day
 ) -> rrb.Blueprint:
@@ -243,7 +239,7 @@ def comparison_blueprint(
         rrb.Horizontal(*below, column_shares=[2.7, 1.8, 3.5][-len(below) :]),
         row_shares=[5.6, 4.4],
     )
-    return layout(content, "reach" if has_reaches else None, fps=REACHES_PER_SECOND)
+    return layout(content, "reach" if has_reaches else None, fps=2.0)  # reaches per second
 
 
 def _meaning(unit: str, top: float) -> str:
@@ -347,10 +343,6 @@ def _day(comparison: Comparison, day: details.Day) -> Any:
     )
     words = rrb.TextDocumentView(origin=f"/{details.DAY_WORDS}", contents=[f"+ /{details.DAY_WORDS}"], name="Why")
     return rrb.Horizontal(plot, words, column_shares=[3, 1], name="A day in the field")
-
-
-CELLS = 10
-"""Approximate number of cells along the longest side of a field whose points lie on no grid."""
 
 
 def inspect_calibration(
@@ -474,10 +466,10 @@ def _without_reaches(
 def _grid_around(points: Array, joints: Array) -> FieldGrid:
     """Return a grid around irregular points ``(F, 3)``, m, at which the arm has ``joints`` ``(F, n)``.
 
-    Cells are cubes of a round size, with about `CELLS` cells along the longest side.
+    Cells are cubes of a round size, with about ten cells along the longest side.
     """
     low, high = points.min(axis=0), points.max(axis=0)
-    step = round_step(max(float((high - low).max()), 1e-3) / CELLS)
+    step = round_step(max(float((high - low).max()), 1e-3) / 10)
     shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
     corner = (low + high - shape * step) / 2.0
     index = np.clip(((points - corner) / step).astype(np.int64), 0, shape - 1)

@@ -252,16 +252,14 @@ def send_steps(
         scribe.dots(f"{root}/fruit/{key}", fruit, FRUIT, FRUIT_RADIUS)
         scribe.dots(f"{root}/tool/{key}", tool, colour, TOOL_RADIUS)
         scribe.dots(f"target/{key}", 1e3 * miss, colour, rr.Radius.ui_points(4.0))
-        arrow = rr.Arrows3D.from_fields(colors=[RED], radii=rr.Radius.ui_points(2.0))
-        scribe.still(f"{root}/miss/{key}", arrow)
+        scribe.still(f"{root}/miss/{key}", rr.Arrows3D.from_fields(colors=[RED], radii=rr.Radius.ui_points(2.0)))
         arrows = rr.Arrows3D.columns(origins=f32(fruit), vectors=f32(miss))
         scribe.along(f"{root}/miss/{key}", arrows, reading_columns(1e3 * miss))
         if scene.tolerance_mm is not None:
             scribe.capture("target/capture", scene.tolerance_mm)
     if "is_success" in info:
         looks = {"yes": (f"{scene.label}: success", colour), "no": (f"{scene.label}: not yet", STEEL)}
-        states = ["yes" if row.info["is_success"] else "no" for row in new]
-        scribe.lane(f"outcome/{lane(key)}", looks, states)
+        scribe.lane(f"outcome/{lane(key)}", looks, ["yes" if row.info["is_success"] else "no" for row in new])
     distance, ends = distances_mm(new), distances_mm(last_rows(rows))
     if distance is not None and ends is not None:
         entity = f"distance/{lane(key)}"

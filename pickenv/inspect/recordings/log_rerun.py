@@ -251,8 +251,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         VectorWrapper.__init__(self, env)
         if not indices or not all(0 <= i < env.num_envs for i in indices) or len(set(indices)) != len(indices):
             raise InputError(f"indices are {list(indices)}; give different numbers from 0 to {env.num_envs - 1}")
-        keys = [f"{policy}/env_{i}" for i in indices]
-        self._recorder = _Recorder(env, keys, settings)
+        self._recorder = _Recorder(env, [f"{policy}/env_{i}" for i in indices], settings)
         self._logged = list(zip(indices, self._recorder.logs, strict=True))
         self._over = np.zeros(env.num_envs, dtype=np.bool_)
 

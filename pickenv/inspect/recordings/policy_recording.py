@@ -26,7 +26,6 @@ SIDEWAYS = np.array([0.8, 0.6, 0.0])
 """Direction to the scene of the next policy: to the right as the camera sees it."""
 APART = 1.25
 """Distance between the scenes of neighbouring policies, in widths of one scene."""
-NAME_SIZE = rr.Radius.ui_points(6.0)
 
 
 def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
@@ -81,7 +80,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
         root = f"side/{lane(policy.key)}"
         scribe.still(root, rr.Transform3D(translation=number * step))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
-        scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=NAME_SIZE))
+        scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=rr.Radius.ui_points(6.0)))
         scribe.words(f"{root}/name", above, policy.label)
         entities.send_steps(stream, scene, policy.key, rows, root=root)
         misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)

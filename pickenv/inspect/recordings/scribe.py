@@ -23,7 +23,6 @@ from pickenv.inspect.runs.run_folder import capsules
 APPLICATION_ID = "pickenv"
 BASE_RADIUS, TOOL_RADIUS = 0.030, 0.012
 """Radii of the first and the last link as drawn, m; links become thinner from base to tool."""
-COLOUR_BAR_PIXELS = (512, 7)
 
 
 def write_recording(
@@ -189,7 +188,7 @@ class Scribe:
 
     def colour_bar(self, entity: str, top: float, unit: str) -> None:
         """Send a colour scale from 0 to ``top`` with its unit: an image, and ticks, as entities below ``entity``."""
-        width, height = COLOUR_BAR_PIXELS
+        width, height = 512, 7  # px
         bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
         self.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
         at = ticks(top)

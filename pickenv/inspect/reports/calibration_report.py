@@ -74,11 +74,10 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     """
     train, test = result.train, result.test
     blocks = {block.key: block for block in result.blocks()}
-    further = [Section(blocks[key].title, [_table(blocks[key])]) for key in FURTHER if key in blocks]
     sections = (
         _errors(result, blocks),
         Section("Reprojection errors", view_drawings(views_of(result)), TEXTS["explained"]["reprojection"]),
-        *further,
+        *[Section(blocks[key].title, [_table(blocks[key])]) for key in FURTHER if key in blocks],
         _parameters(result),
         _poses(result, train),
         Section("Evidence", [{row[0]: row[1] for row in blocks["evidence"].rows}]),

@@ -56,8 +56,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     funnels = trace.funnels
     counts = [(stage, *(str(numbers[stage]) for numbers in funnels.values())) for stage in funnels[names[0]]]
     funnel = PageTable("Fruit at each stage, over all trees", ("stage", *funnels), counts)
-    arms = trace.cloud.shape[1]
-    subtitle = f"Simulated; {count_of(arms, 'picking arm')}, {len(names)} strategies on the same trees"
+    subtitle = f"Simulated; {count_of(trace.cloud.shape[1], 'picking arm')}, {len(names)} strategies on the same trees"
     return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), drawings(run))
 
 

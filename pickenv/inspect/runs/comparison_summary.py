@@ -71,9 +71,8 @@ RINGS, SPOKES = 24, 24
 
 
 Change: TypeAlias = Mapping[str, Any]
-"""The effect of a calibration on the picks of one gripper, as in JSON. ``gripper`` is the gripper's name.
-``perception_mm`` is the standard deviation of the perceived fruit position per axis, mm. ``before`` and ``after`` are
-the shares of fruit taken without and with calibration."""
+"""The effect of a calibration on picks, as in JSON: name of the ``gripper``, standard deviation of the perceived fruit
+position per axis, ``perception_mm``, and shares of fruit taken without and with calibration, ``before``, ``after``."""
 
 
 def _gain(change: Change) -> float:
@@ -345,8 +344,7 @@ def explanation(episodes: RecordedEpisodes) -> str:
 
 
 def _picking(episodes: RecordedEpisodes) -> str:
-    rows = policy_rows(episodes)
-    counts = ", ".join(f"{row['picked']} of {row['tried']} with {row['policy']}" for row in rows)
+    counts = ", ".join(f"{row['picked']} of {row['tried']} with {row['policy']}" for row in policy_rows(episodes))
     return f"In these episodes {episodes.gripper}, which forgives {episodes.tolerance_mm:g} mm, picks {counts}"
 
 

@@ -195,8 +195,7 @@ def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str,
     if "tuple" in packed:
         return tuple(_unpack(item, arrays, classes) for item in packed["tuple"])
     if "mapping" in packed:
-        pairs = packed["mapping"]
-        return {_unpack(key, arrays, classes): _unpack(item, arrays, classes) for key, item in pairs}
+        return {_unpack(key, arrays, classes): _unpack(item, arrays, classes) for key, item in packed["mapping"]}
     return classes[packed["class"]](**{name: _unpack(item, arrays, classes) for name, item in packed["fields"].items()})
 
 
@@ -216,8 +215,7 @@ def _classes(*roots: Any) -> dict[str, Any]:
 
 RECORD = "run.json"
 LIST = "files.json"
-"""Name of the file that lists the files of a folder that is no run itself, but holds several runs, tables and
-calibrations."""
+"""Name of the list of files of a folder that is no run itself, but holds several runs, tables and calibrations."""
 
 PARTS: Mapping[type, str] = {
     Comparison: "comparison.npz",
@@ -284,8 +282,7 @@ def run_kind(name: str, **source: str) -> RunKind:
 
 
 TakePicture: TypeAlias = Callable[[Path], bytes | None]
-"""Function, such as `viewer_picture`, that returns a picture (WebP) of a recording, given the path of the recording. It
-returns None if it cannot make the picture."""
+"""Function, such as `viewer_picture`, from a recording's path to its picture (WebP), or None if it cannot be made."""
 
 
 @dataclass(frozen=True)
@@ -350,8 +347,7 @@ def added_to(run: Run) -> Iterator[None]:
     changed = _changed_since(run.folder, before)
     if run.files is not None and changed:
         latest = read_run(run.folder)  # another command may have added its own since
-        added = replace(latest, files={**(latest.files or {}), **changed})
-        write_text(run.folder / RECORD, _record_text(added))
+        write_text(run.folder / RECORD, _record_text(replace(latest, files={**(latest.files or {}), **changed})))
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
