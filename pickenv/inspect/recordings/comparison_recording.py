@@ -229,7 +229,7 @@ def comparison_blueprint(
         reasons.insert(0, _arms(comparison))
         below = [_reaches(comparison), view_of(rrb.BarChartView, "hist", "Reaches by final position error, mm"), *below]
     if comparison.field_uncertainty is not None:
-        reasons.append(_uncertainty(comparison))
+        reasons.append(_uncertainty(comparison, 1e3 * comparison.field_uncertainty))
     if day:
         reasons.append(_day(comparison, day))
     if has_reaches:
@@ -313,9 +313,9 @@ def _arms(comparison: Comparison) -> Any:
     )
 
 
-def _uncertainty(comparison: Comparison) -> Any:
-    assert comparison.field_uncertainty is not None
-    last, predicted = comparison.policies[-1], 1e3 * comparison.field_uncertainty
+def _uncertainty(comparison: Comparison, predicted: Array) -> Any:
+    """Return the tab of the standard uncertainty ``predicted`` ``(F,)``, mm, beside the last policy's actual errors."""
+    last = comparison.policies[-1]
     actual = summary.field_mm(last)
     inside = 100.0 * float(np.mean(actual < 2.0 * predicted))
     least, most = float(predicted.min()), float(predicted.max())

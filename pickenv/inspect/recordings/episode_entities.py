@@ -357,7 +357,7 @@ DECADES = "log10 of mm (-1: 0.1 mm, 0: 1 mm, 1: 10 mm)"
 def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
     """Return the layout (blueprint) for a recording whose steps have the same `info` entries as ``rows``."""
     info = rows[0].info
-    plots: list[Any] = [distance_plot("Distance to the fruit")] if distances_mm(rows[:1]) is not None else []
+    plots: list[Any] = [distance_plot()] if distances_mm(rows[:1]) is not None else []
     numbers = number_plots(info)
     plots.append(rrb.Tabs(*numbers, active_tab=len(numbers) - 1) if plots else rrb.Vertical(*numbers))
     if "is_success" in info:
@@ -380,9 +380,9 @@ def number_plots(info: Mapping[str, Any]) -> list[Any]:
     ]
 
 
-def distance_plot(name: str) -> Any:
-    """Return a plot of the logarithm of the distance from tool to fruit; its title begins with ``name``."""
-    title = f"{name}, {DECADES}; legend: mean at the end"
+def distance_plot() -> Any:
+    """Return a plot of the logarithm of the distance from tool to fruit."""
+    title = f"Distance to the fruit, {DECADES}; legend: mean at the end"
     legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True)
     return view_of(rrb.TimeSeriesView, "distance", title, plot_legend=legend)
 

@@ -132,7 +132,7 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     target = entities.target_view(episodes.largest_mm, episodes.tolerance_mm)
     first = rrb.Horizontal(
         rrb.Vertical(side, verdict),
-        rrb.Vertical(entities.distance_plot("Distance to the fruit"), target),
+        rrb.Vertical(entities.distance_plot(), target),
         name="Who is better",
     )
     fields = [_field_tab(episodes)] if isinstance(episodes, Comparison) else []

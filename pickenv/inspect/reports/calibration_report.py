@@ -97,14 +97,12 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
 
 
 def _verdict(r: Result, test: Observations) -> PageVerdict:
-    quality, final = r.quality, r.best
+    quality, final, blocks = r.quality, r.best, r.held_out.blocks
     interval = r.held_out.no_interval
     if final.mean_ci95 is not None:
-        between = "" if r.held_out.blocks is None else " between blocks"
+        between = "" if blocks is None else " between blocks"
         interval = f"95 % interval{between} {' to '.join(map(figure, final.mean_ci95))}"
-    which = "that the fit never saw"
-    if r.held_out.blocks is not None:
-        which = "of which no fit saw the block that it is judged on"
+    which = "that the fit never saw" if blocks is None else "of which no fit saw the block that it is judged on"
     tracked = test.poses is not None
     rows, stood = ("measured poses", "the tool stood") if tracked else (r.held_out.rows, "what was read lay")
     sentence = (

@@ -338,8 +338,8 @@ def explanation(episodes: RecordedEpisodes) -> str:
     by = said(abs(line["difference_mm"]), ends, 3)
     than = "as much as" if _level(line) else f"{by} mm {'less' if line['lead_mm'] >= 0.0 else 'more'} than"
     first = f"{name} misses by {than} {rival} for the same {line['pairs']} fruit"
-    changes = _changes(episodes, rival, name)
-    worth = matters(episodes.plant_name or episodes.env_id, changes, (f"with {rival}", f"with {name}"))
+    changes, between = policy_changes(episodes)["changes"], (f"with {rival}", f"with {name}")
+    worth = matters(episodes.plant_name or episodes.env_id, changes, between)
     return f"{first}. {worth} {_picking(episodes)}."
 
 
@@ -358,13 +358,9 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
     best, rivals = _best(episodes)
     if best is None or not rivals:
         return {}
-    rival = next(iter(rivals))
-    return {"from": rival, "to": best["policy"], "changes": _changes(episodes, rival, best["policy"])}
-
-
-def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[Change]:
+    rival, name = next(iter(rivals)), best["policy"]
     misses = {policy.label: _across(policy) for policy in episodes.policies}
-    return pick_changes(misses[other], misses[best])
+    return {"from": rival, "to": name, "changes": pick_changes(misses[rival], misses[name])}
 
 
 def _across(policy: RecordedPolicy) -> Array:
@@ -396,16 +392,17 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
 
 def comparison_markdown(episodes: RecordedEpisodes) -> str:
     """Return the verdict and the tables of policies and of differences, in Markdown, for the recording."""
-    lines = [f"## {unmarked(outcome_sentence(episodes))}", "", unmarked(explanation(episodes)), ""]
-    lines += _table(HEADS, [list(map(unmarked, row)) for row in policy_cells(episodes)])
+    parts = [f"## {unmarked(outcome_sentence(episodes))}", unmarked(explanation(episodes))]
+    parts.append(_table(HEADS, [list(map(unmarked, row)) for row in policy_cells(episodes)]))
     if differences := [list(map(unmarked, row)) for row in difference_cells(episodes)]:
-        lines += ["", "Fruit by fruit, later minus earlier policy:", "", *_table(DIFFERENCES, differences)]
+        parts += ["Fruit by fruit, later minus earlier policy:", _table(DIFFERENCES, differences)]
     count = count_of(len(episodes.seeds), "episode")
-    return "\n".join([*lines, "", f"{count} of {episodes.env_id}, simulated; {INTERVALS}."])
+    return "\n\n".join([*parts, f"{count} of {episodes.env_id}, simulated; {INTERVALS}."])
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [f"| {' | '.join(cells)} |" for cells in (heads, [":--"] + ["--:"] * (len(heads) - 1), *rows)]
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = (heads, [":--"] + ["--:"] * (len(heads) - 1), *rows)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _finite(values: Array) -> Array:
@@ -505,29 +502,26 @@ def summary_markdown(comparison: Comparison) -> str:
         heads = ["picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
     cells_of = _reach_cells if has_reaches else _field_cells
     rows = [[f"**{unmarked(policy.label)}**", *cells_of(policy)] for policy in comparison.policies]
-    title = f"## {unmarked(in_words(comparison.plant.name))}, seed {comparison.seed}"
-    lines = [title, "", *_table(["policy", *heads], rows)]
     first = unmarked(comparison.policies[0].label)
     reaches = (
         f"{count_of(len(comparison.fruit), 'reach', 'reaches')}, of this one calibration; a pick if the fruit is "
         f"inside the capture region, radius {comparison.tolerance_mm:g} mm. "
     )
-    lines += [
-        "",
+    parts = [
+        f"## {unmarked(in_words(comparison.plant.name))}, seed {comparison.seed}",
+        _table(["policy", *heads], rows),
         f"{reaches if has_reaches else ''}{len(comparison.grid.points)} field points, cells of "
         f"{comparison.grid.step * 1e3:g} mm.{_better(comparison)}",
-        "",
         f"**Arrows**: true minus wanted tool position, drawn ×{GAIN:g}. **Colour**: its length, 0 to {top:.2f} mm in "
         f"every field (p{SCALE_PERCENTILE:g} of {first}; above that the colour saturates).",
     ]
     if has_reaches:
-        lines += [
-            "",
+        parts.append(
             f"**Picking**: wire arm = what the controller believes; solid arm = the true arm with the {first} "
             f"command, difference drawn ×{GAIN:g}; red ball = capture region ×{GAIN:g}: an arrow that ends inside it "
-            "is a pick.",
-        ]
-    return "\n".join(lines)
+            "is a pick."
+        )
+    return "\n\n".join(parts)
 
 
 def _better(comparison: Comparison) -> str:
