@@ -494,10 +494,9 @@ def corner_errors(views: Sequence[ViewErrors]) -> Figure:
     together, (gain, top) = ViewErrors("all", places, errors, size), _scale(views)
     height = style.WIDTH * 0.72 * size[1] / size[0] + 0.6
     with style.new_panel(style.WIDTH, height, "u (px)", "v (px)") as (figure, axes):
-        arrows = _draw(axes, together, gain, top)
         corners = f"{len(errors)} corners of {len(views)} views"
         axes.set_title(f"{together.rms:.3g} px RMS over {corners}, errors drawn ×{gain:g}")
-        style.colour_bar(figure, arrows, axes, label="error (px)")
+        style.colour_bar(figure, _draw(axes, together, gain, top), axes, label="error (px)")
     return figure
 
 
@@ -561,8 +560,6 @@ def _scale(views: Sequence[ViewErrors]) -> tuple[float, float]:
 
 def _draw(axes: Axes, view: ViewErrors, gain: float, top: float, thickness: float = 1.0) -> Quiver:
     width, height = view.size
-    lengths = np.linalg.norm(view.errors, axis=1)
     look = QUIVER | {"scale": 1.0 / gain, "width": 0.004 * thickness, "cmap": "viridis", "clim": (0.0, top)}
-    arrows = axes.quiver(*(view.found - view.errors).T, *view.errors.T, lengths, **look)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
-    return arrows
+    return axes.quiver(*(view.found - view.errors).T, *view.errors.T, np.linalg.norm(view.errors, axis=1), **look)

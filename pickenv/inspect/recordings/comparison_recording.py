@@ -218,10 +218,9 @@ def comparison_blueprint(
     policies, has_reaches = comparison.policies, len(comparison.fruit) > 0
     title = "{} | error magnitude, mm, corner cut away"
     voxels = [space(comparison, title.format(p.label), [f"+ /world/field/{p.key}/voxels"]) for p in policies]
-    slices = [_slice(comparison, policy) for policy in policies]
     errors, *reasons = (_arrows(comparison, name, *tab) for name, tab in arrows.items())
     meaning = _meaning("mm", summary.colour_scale_mm(comparison))
-    fields = {"Voxels": voxels, "Slices": slices}
+    fields = {"Voxels": voxels, "Slices": [_slice(comparison, policy) for policy in policies]}
     tabs: list[Any] = [errors, *(with_colour_bar(views, "position", meaning, name) for name, views in fields.items())]
     below = [rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary")]
     if has_reaches:

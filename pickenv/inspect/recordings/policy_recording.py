@@ -63,12 +63,11 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
     names = ["position_error_mm", "picked", "tool_position", "fruit_position", "joint_target", "reward"]
     names += ["attitude_error_deg"] * (not np.isnan(policy.attitude_error_deg).all()) + ["joint_command"] * arm
     told = {name: getattr(policy, name) for name in names} | {"is_success": policy.success}
-    rows: list[entities.Row] = []
-    for e, moments in enumerate(policy.moments):
-        for t in range(int(moments)):
-            info = {name: values[e, t].item() if values.ndim == 2 else values[e, t] for name, values in told.items()}
-            rows.append(entities.Row(e, t, e, info))
-    return rows
+    return [
+        entities.Row(e, t, e, {name: v[e, t].item() if v.ndim == 2 else v[e, t] for name, v in told.items()})
+        for e, moments in enumerate(policy.moments)
+        for t in range(int(moments))
+    ]
 
 
 def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> None:

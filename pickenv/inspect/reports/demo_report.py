@@ -28,7 +28,6 @@ from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, eye_
 from pickenv.inspect.runs.traces import CalibrationTrace
 
 RECORDING = "errors.rrd"
-RECORDING_WORDS = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
 OF_ONE = "All of it is of this one calibration of one arm: intervals are over fruit, and another calibration differs."
 
 NO_INTERVAL = f"no interval: fewer than {LEAST_ROWS} reaches, or all alike"
@@ -76,7 +75,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         _field(comparison, by_name),
         _poses(comparison, trace, by_name),
         _fit(trace, calibration, by_name),
-        Section("The recording", [shown], RECORDING_WORDS),
+        Section("The recording", [shown], TEXTS["explained"]["recording"]),
     )
     return html_of(
         f"Calibration and picking: {in_words(comparison.plant.name)}",
@@ -196,8 +195,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
 def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
     if "error_fields" not in drawn:
         return Section("Where the tool misses", ())
-    hint = "Drag to turn all scenes together, hover over the end of an arrow to read its millimetres."
-    fields = replace(drawn["error_fields"], spec=field_spec(comparison), hint=hint)
+    fields = replace(drawn["error_fields"], spec=field_spec(comparison), hint=TEXTS["hints"]["error_fields"])
     size = f"{len(comparison.grid.points)} positions {comparison.grid.step * 1e3:g} mm apart, tool upright."
     return Section("Where the tool misses", [fields], size)
 
@@ -205,11 +203,11 @@ def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
 def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, Drawing]) -> Section:
     stages = {label: axis_errors(errors) for label, errors in trace.errors.items()}
     caption = "Errors per degree of freedom at the held-out poses, world axes"
-    hint = "Hover to read a pose's millimetres."
+    hint, poses = TEXTS["hints"]["error_per_test_pose"], drawn["error_per_test_pose"]
     parts = (
         axis_table(caption, stages, "{:.3f}".format).spelled(),
         in_words(_floors(comparison, trace)) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
-        replace(drawn["error_per_test_pose"], spec=pose_spec(norms_mm(trace.errors)), hint=hint),
+        replace(poses, spec=pose_spec(norms_mm(trace.errors)), hint=hint),
         (drawn["error_histogram"], drawn["error_against_extension"]),
     )
     size = f"{len(trace.sets['test'])} poses from the whole joint ranges that took no part in the calibration."

@@ -20,11 +20,10 @@ MEASURES = TEXTS["measures"]
 def drawings(run: Run) -> Drawings:
     """Return the figures of a harvester's run: the arms' work on a tree, fates of fruit, throughput, workspace."""
     trace = load_part(run, HarvestTrace)
-    arms = trace.cloud.shape[1]
     caption = f"From fruit present to fruit collected, over {trace.tree_count} simulated trees."
     trees = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
     return [
-        captioned("gantt", plot_harvest.gantt, trees, arms),
+        captioned("gantt", plot_harvest.gantt, trees, trace.cloud.shape[1]),
         captioned("pick_map", plot_harvest.pick_map, trees),
         Drawing("funnel", caption, lambda: plot_harvest.funnel_bars(trace.funnels)),
         captioned("throughput", plot_harvest.throughput_by_arms, trace.throughput),
