@@ -34,8 +34,6 @@ from pickenv.inspect.runs.traces import ViewErrors
 
 PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.85
 """Width of one panel, and height of the titles and the colour bar together, inches."""
-MOST_ARROWS = 400
-"""Largest number of arrows in a panel; a larger field is drawn at every second, third … cell along each axis only."""
 
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "headwidth": 3.5, "minlength": 0.0}
 """Matplotlib's settings for arrows whose vectors are in the units of the axes."""
@@ -86,9 +84,8 @@ def error_fields(comparison: Comparison) -> Figure:
             axes.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), aspect="equal")
             axes.set_axis_off()
             axes.set_title(in_words(policy.label).replace(" + ", "\n+ "), fontsize=12, weight="bold", pad=15.0)
-            mean, *_, largest = summary.error_spread(summary.field_mm(policy))
-            means[policy.label] = mean
-            text = f"mean {mean:.2f} mm, max {largest:.2f} mm"
+            means[policy.label], *_, largest = summary.error_spread(summary.field_mm(policy))
+            text = f"mean {means[policy.label]:.2f} mm, max {largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)
         title = in_words(f"Mean error across the workspace: {style.change(means, 'mm')}")
@@ -97,8 +94,8 @@ def error_fields(comparison: Comparison) -> Figure:
     return figure
 
 
-def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np.intp], float]:
-    """Choose evenly spaced points of a field to draw, at most ``most``.
+def thinned(comparison: Comparison, most: int = 400) -> tuple[NDArray[np.intp], float]:
+    """Choose evenly spaced points of a field to draw, at most ``most``: every second, third … cell along each axis.
 
     All points are chosen if every even spacing leaves too many points or none.
 

@@ -197,8 +197,6 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
 
 SMALLEST = 1e-3
 """Smallest error that logarithmic axes show, mm. Errors below it are drawn at this value."""
-HEIGHTS = 3
-"""Number of layers of the workspace that a map of differences shows."""
 
 
 def distance_over_time(episodes: RecordedEpisodes) -> Figure:
@@ -224,14 +222,14 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
 def difference_map(comparison: Comparison) -> Figure:
     """Draw a map of the workspace, coloured by the position error of the last policy minus that of the first, mm.
 
-    Each panel shows one layer of the workspace from above, with differences averaged over the height of the layer.
+    Each of three panels shows one layer of the workspace from above, with differences averaged over the layer's height.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     change, points = summary.field_mm(last) - summary.field_mm(first), comparison.grid.points
     top = float(np.percentile(np.abs(change), summary.SCALE_PERCENTILE)) or 1.0
     worse, better = style.rgb(policy_colours([first.key, last.key]))
     colours = LinearSegmentedColormap.from_list("nearer", [better, (0.82, 0.82, 0.84), worse])
-    layers = np.array_split(np.unique(comparison.grid.index[:, 2]), HEIGHTS)
+    layers = np.array_split(np.unique(comparison.grid.index[:, 2]), 3)
     rows = [np.isin(comparison.grid.index[:, 2], layer) for layer in layers if len(layer)]
     corner, step = comparison.grid.corner, comparison.grid.step
     width, depth = comparison.grid.shape[:2]
@@ -354,11 +352,10 @@ def accuracy_against_cycle_time(
     times = period * np.arange(1, 1 + max(map(len, errors)))
     with style.new_panel(style.WIDTH, 3.2, "cycle time (s)", "mean position error (mm)") as (figure, axes):
         axes.set_yscale("log")
-        first, ends = next(iter(patterns)), {}
+        first = next(iter(patterns))
+        ends = {label: float(e[-1]) for (policy, label), e in zip(curves, errors, strict=True) if policy == first}
         for (policy, compensation), error in zip(curves, errors, strict=True):
             axes.plot(times[: len(error)], error, linestyle=patterns[policy], color=colours[compensation])
-            if policy == first:
-                ends[compensation] = float(error[-1])
         front = np.minimum.accumulate(np.min([error[:shortest] for error in errors], axis=0))
         policy = f"{first} on {in_words(title)}" if title else first
         style.headline(axes, f"{policy} after {period * len(errors[0]):.1f} s: {style.change(ends, 'mm')}", beside=1.2)

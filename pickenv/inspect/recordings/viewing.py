@@ -182,7 +182,6 @@ def check_answers(url: str) -> None:
 # own.
 
 
-HANDED_ON = ("content-type", "content-encoding", "cache-control")
 VIEWER_PATIENCE = 30.0
 """Time to wait for the viewer's own server, s."""
 
@@ -223,7 +222,7 @@ def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
                 connection.close()
             self.send_response(response.status)
             for name, value in response.getheaders():
-                if name.lower() in HANDED_ON:
+                if name.lower() in ("content-type", "content-encoding", "cache-control"):
                     self.send_header(name, value)
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Content-Security-Policy", policy)
@@ -312,12 +311,6 @@ def _packed(png: bytes) -> bytes:
     return buffer.getvalue()
 
 
-BY_CTRL_C = 130
-"""Exit code of a program that Ctrl-C ended, as in shells."""
-HEADER = b"RRF"
-"""First bytes of every recording; a digit and the writer's version follow."""
-
-
 def check_recording(path: str | Path) -> None:
     """Raise an error if the installed rerun viewer cannot show a file.
 
@@ -332,7 +325,7 @@ def check_recording(path: str | Path) -> None:
             head = file.read(8)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}; give a recording (.rrd) or a run folder") from error
-    if len(head) < 8 or not head.startswith(HEADER):
+    if len(head) < 8 or not head.startswith(b"RRF"):  # a digit and the writer's version follow
         raise InputError(f"{path} is not a Rerun recording; give a recording (.rrd) or a run folder")
     written = (head[4], head[5])
     major, minor = (int(part) for part in rr.__version__.split(".")[:2])
@@ -407,7 +400,7 @@ def _serve(*paths: Path, **options: object) -> None:
         _run(*paths, **options)
     except KeyboardInterrupt:
         print("ended: the recording is no longer served", file=sys.stderr)
-        raise SystemExit(BY_CTRL_C) from None
+        raise SystemExit(130) from None  # as shells have it after Ctrl-C
 
 
 def _run(*paths: Path, **options: object) -> None:

@@ -31,8 +31,6 @@ FURTHER = ("set_ups", "pictures", "uncertainty", "left_out", "terms", "stiffness
 """Keys of the tables that get sections of their own, in the order of the page."""
 OF_MODELS = ("errors", "terms", "residual_models")
 """Keys of the tables whose cells name models; cells of all other tables may name files and joints."""
-MAP_POSES = 6000
-"""Number of random poses behind the map of predicted uncertainty."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -221,11 +219,14 @@ def _poses(r: Result, train: Observations) -> Section:
 
 
 def _uncertainty(r: Result) -> Drawing | None:
-    """Return a map of the uncertainty of predicted positions; None if it is unknown or the calibration has terms."""
+    """Return a map of the uncertainty of predicted positions at 6000 random poses.
+
+    It is None if the uncertainty is unknown or the calibration has terms.
+    """
     model, uncertainty, geometry = r.fit.calibration.model, r.uncertainty, r.fit.identification.geometry
     if not np.isfinite(uncertainty.covariance).all() or model.terms:
         return None
-    joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
+    joints = random_joints(geometry, 6000, np.random.default_rng(0))
     spread = uncertainty.from_parameters(model, joints)
     x, y, height = ((model.pose(joints).position - geometry.base.position) * 1e3).T
     return captioned("uncertainty_map", uncertainty_map, np.hypot(x, y), height, spread * 1e3)

@@ -35,9 +35,6 @@ NO_INTERVAL = f"no interval: fewer than {LEAST_ROWS} reaches, or all alike"
 REQUIRED_SHARE = 0.95
 """Share of reaches within the tolerance from which a calibration counts as sufficient."""
 
-
-MOST_ARROWS = 3000
-"""Largest number of arrows of an interactive field."""
 EYE_DISTANCE = 2.55
 """Distance of the camera from the middle of a scene, in plotly's unit: the scene's size."""
 
@@ -264,7 +261,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     Dots are at wanted positions and show numbers on hovering. From each dot a line leads towards the true position,
     drawn longer than true by the factor `field_gain`.
     """
-    rows, spacing = thinned(comparison, MOST_ARROWS)
+    rows, spacing = thinned(comparison, most=3000)
     top = summary.colour_scale_mm(comparison)
     gain = field_gain(comparison.grid.step, top)
     points = comparison.grid.points[rows]

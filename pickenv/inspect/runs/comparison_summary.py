@@ -64,8 +64,6 @@ PERCEPTION_MM = (0.0, 1.0, 2.0, 3.0, 5.0)
 """Standard deviations per axis of the perceived fruit position, mm, for which picks are computed."""
 MATTERS = 0.05
 """Smallest change in the share of picks that is reported as a change: five of a hundred picks."""
-NONE = 0.005
-"""Change in the share of picks below which the printed shares are equal, or nearly so."""
 RINGS, SPOKES = 24, 24
 """Numbers of distances, equally probable, and of directions at which the perception error is sampled."""
 
@@ -148,7 +146,7 @@ def matters(plant: str, changes: Sequence[Change], between: tuple[str, str] = ("
     first = f"On {plant} this changes picks {'; '.join(yes)}."
     sharp = next(c for c in changes if c["gripper"] == best[0]["gripper"] and c["perception_mm"] == PERCEPTION_MM[0])
     if abs(_gain(sharp)) < MATTERS:
-        few = "none" if abs(_gain(sharp)) < NONE else "hardly any"
+        few = "none" if abs(_gain(sharp)) < 0.005 else "hardly any"  # below this, the printed shares hardly differ
         first += f" Were the fruit seen without error, it would change {few} ({both(sharp)})."
     return first + (f" Hardly a pick changes with {' and '.join(no)}." if no else "")
 
@@ -428,9 +426,6 @@ GAIN = 20.0
 SCALE_PERCENTILE = 99.0
 """The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
 
-BINS = 24
-"""Approximate number of bins of a histogram of reach errors."""
-
 
 def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
     """Return mean, root mean square, 95th percentile and maximum of errors ``(...)``; nan if there are none."""
@@ -476,9 +471,9 @@ def scale_end(values: Array) -> float:
 
 
 def histogram_edges_mm(comparison: Comparison) -> Array:
-    """Return the edges ``(B + 1,)``, mm, of about `BINS` bins of round width for the reach errors of all policies."""
+    """Return the edges ``(B + 1,)``, mm, of about 24 bins of round width for the reach errors of all policies."""
     largest = float(np.max([policy.ends.position_error_mm for policy in comparison.policies], initial=0.0))
-    width = round_step((largest or 1.0) / BINS)
+    width = round_step((largest or 1.0) / 24)
     return np.asarray(width * np.arange(int(largest / width) + 2))
 
 
