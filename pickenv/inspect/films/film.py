@@ -50,13 +50,9 @@ HALF = (400, 360)
 STRIP = 28
 """Height of the line of text below the halves, px."""
 GAP = 4
+PALETTE = "[a]palettegen=max_colors=112:stats_mode=full[p];[b][p]paletteuse=dither=none:diff_mode=rectangle"
 KINDS = {
-    ".gif": (
-        "-filter_complex",
-        "split[a][b];[a]palettegen=max_colors=112:stats_mode=full[p];[b][p]paletteuse=dither=none:diff_mode=rectangle",
-        "-loop",
-        "0",
-    ),
+    ".gif": ("-filter_complex", f"split[a][b];{PALETTE}", "-loop", "0"),
     ".mp4": ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "22", "-movflags", "+faststart"),
 }
 """Options with which ffmpeg writes each kind of file, by suffix."""

@@ -31,9 +31,9 @@ VIEWER_PORT = 9876
 VIEWER_MEMORY = "2GiB"
 """Memory limit of a viewer, beyond which it forgets the oldest steps."""
 PATIENCE = 5.0
-"""Time to wait for an answer from a running viewer, s."""
+"""Time to wait for an answer from a running viewer, and for its end after a request to end, s."""
 START_PATIENCE = 30.0
-"""Time to wait for a viewer to start, s."""
+"""Time to wait for a viewer, or its own server of its page, to start, s."""
 LOCAL = "127.0.0.1"
 
 
@@ -182,10 +182,6 @@ def check_answers(url: str) -> None:
 # own.
 
 
-VIEWER_PATIENCE = 30.0
-"""Time to wait for the viewer's own server, s."""
-
-
 @contextmanager
 def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
     """Return a context that serves a viewer's web page again at a new port, with a content security policy.
@@ -210,7 +206,7 @@ def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
                 self.send_error(403)
                 return
             headers = {name: self.headers[name] for name in ("Accept", "Accept-Encoding") if name in self.headers}
-            connection = HTTPConnection(host, viewer, timeout=VIEWER_PATIENCE)
+            connection = HTTPConnection(host, viewer, timeout=START_PATIENCE)
             try:
                 connection.request("GET", self.path, headers=headers)
                 response = connection.getresponse()
@@ -417,14 +413,10 @@ def _run(*paths: Path, **options: object) -> None:
         raise InputError(f"rerun ended with code {code}; what it says is shown by: {shown}")
 
 
-LEAVING = 5.0
-"""Longest time that a viewer may take to end after a request to end, s."""
-
-
 def _end(process: subprocess.Popen[bytes]) -> None:
     """End a program; on POSIX also its process group, because `rerun` is a script that starts the actual program.
 
-    A viewer that takes longer than `LEAVING` to end is killed.
+    A viewer that takes longer than `PATIENCE` to end is killed.
     """
     if sys.platform == "win32":
         process.terminate()
@@ -432,7 +424,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         return
     with suppress(ProcessLookupError, subprocess.TimeoutExpired):
         os.killpg(process.pid, signal.SIGTERM)
-        process.wait(LEAVING)
+        process.wait(PATIENCE)
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
