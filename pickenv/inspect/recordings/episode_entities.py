@@ -77,15 +77,21 @@ class EpisodeLog:
         self._episode = self._step = -1
         self._within, self._left = 0, 0.0
 
-    def begins(self) -> bool:
-        """Count a new episode, and return whether its first `info` is to be recorded."""
+    def begin(self, info: Mapping[str, Any], target: Array | None = None) -> None:
+        """Count a new episode, and add its first `info` to `rows` if it is to be recorded.
+
+        Args:
+            info: The `info` of the reset.
+            target: As for `note`.
+        """
         self._episode += 1
         self._within = 0
         if self.length == np.inf:
             self._left = 0.0
         if self._episode_trigger is not None and self._episode_trigger(self._episode):
             self._left = self.length
-        return self._wanted()
+        if self._wanted():
+            self.note(info, 0.0, target)
 
     def steps(self) -> bool:
         """Count a new step, and return whether its `info` is to be recorded."""

@@ -130,9 +130,7 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
     target = entities.target_view(episodes.largest_mm, episodes.tolerance_mm)
     first = rrb.Horizontal(
-        rrb.Vertical(side, verdict),
-        rrb.Vertical(entities.distance_plot(), target),
-        name="Who is better",
+        rrb.Vertical(side, verdict), rrb.Vertical(entities.distance_plot(), target), name="Who is better"
     )
     fields = [_field_tab(episodes)] if isinstance(episodes, Comparison) else []
     info = rows_of(episodes.policies[0], arm=False)[0].info

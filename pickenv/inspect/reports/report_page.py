@@ -153,11 +153,7 @@ def html_of(
 @cache
 def _template() -> Template:
     environment = Environment(
-        loader=FileSystemLoader(HERE),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
+        loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     scales = {"largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}

@@ -277,8 +277,7 @@ def run_kind(name: str, **source: str) -> RunKind:
     Raises:
         InputError: If no kind of that name is registered.
     """
-    kind: RunKind = registry.get("report", name, **source)()
-    return kind
+    return typing.cast("RunKind", registry.get("report", name, **source)())
 
 
 TakePicture: TypeAlias = Callable[[Path], bytes | None]
