@@ -97,7 +97,7 @@ def error_fields(comparison: Comparison) -> Figure:
 def thinned(comparison: Comparison, most: int = 400) -> tuple[NDArray[np.intp], float]:
     """Choose evenly spaced points of a field to draw, at most ``most``: every second, third … cell along each axis.
 
-    All points are chosen if every even spacing leaves too many points or none.
+    More arrows would cover each other. All points are chosen if every even spacing leaves too many points or none.
 
     Returns:
         Indices of the points, from 0 in the field, and the distance between neighbouring points, m.

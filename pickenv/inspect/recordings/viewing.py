@@ -33,7 +33,7 @@ VIEWER_MEMORY = "2GiB"
 PATIENCE = 5.0
 """Time to wait for an answer from a running viewer, and for its end after a request to end, s."""
 START_PATIENCE = 30.0
-"""Time to wait for a viewer, or its own server of its page, to start, s."""
+"""Time to wait for a viewer or its server to start, s."""
 LOCAL = "127.0.0.1"
 
 

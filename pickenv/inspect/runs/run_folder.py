@@ -95,7 +95,7 @@ def eye_direction(comparison: Comparison) -> Array:
     outward = float(np.arctan2(y, x))
     along_x = width_y > width_x or (width_y == width_x and abs(x) > abs(y))
     normal = float(np.arctan2(0.0, x) if along_x else np.arctan2(y, 0.0))
-    turn = normal + np.copysign(EYE_TURN, np.sin(outward - normal))
+    turn = normal + (EYE_TURN if np.sin(outward - normal) >= 0.0 else -EYE_TURN)
     return np.array([np.cos(turn) * np.cos(EYE_LIFT), np.sin(turn) * np.cos(EYE_LIFT), np.sin(EYE_LIFT)])
 
 
