@@ -28,23 +28,19 @@ RED: Rgb = (208, 32, 38)
 GREY: Rgb = (150, 150, 158)
 STEEL: Rgb = (190, 194, 204)
 WHITE: Rgb = (255, 255, 255)
-"""Colour of text in 3D views. The viewer puts text on dark plates in its dark theme, and on light grey ones in its
-light theme."""
+"""Colour of text in 3D views, which the viewer puts on dark plates, or on light grey ones in its light theme."""
 FRUIT: Rgb = (222, 202, 160)
 
+ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
+"""Keys of policies in the order in which figures and recordings list them. All other policies follow."""
 BY_KEY: dict[str, Rgb] = {
-    "raw": ORANGE,
-    "nominal": ORANGE,
-    "ls": BLUE,
-    "calibrated": BLUE,
-    "calibrated_geometry": BLUE,
-    "ls_bpnn": GREEN,
-    "with_residual": GREEN,
-    "model_used": GREEN,
-    "ls_gp": PURPLE,
-    "best": PURPLE,
+    key: colour
+    for keys, colour in zip((*ORDER, ("ls_gp", "best")), (ORANGE, BLUE, GREEN, PURPLE), strict=True)
+    for key in keys
 }
 OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (150, 140, 20), (150, 150, 150))
+METHODS = (BLUE, GREEN, *OTHERS[:2], GREY)
+"""Colours of methods other than raw, used in turn."""
 NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
 TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / "words.toml").read_text("utf-8"))
 """Texts that readers see, by table, and within a table by the short names that files and commands use."""
@@ -55,8 +51,6 @@ SHORT = re.compile(
     rf"^(?:{'|'.join(ADDED)})(?! [a-z])|{'|'.join(WORDS)})(?: ?\+ ?[A-Za-z]\w*)*(?![\w/+-]|\.\w)"
 )
 """Pattern of a short name that stands alone or in a chain of names with plus signs, but not in the name of a file."""
-ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
-"""Keys of policies in the order in which figures and recordings list them. All other policies follow."""
 
 ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
 """Colours of a harvester's arms, used in turn."""

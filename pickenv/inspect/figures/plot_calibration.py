@@ -23,8 +23,6 @@ NAME_ROOM = 0.15
 """Width that a vertical name of a parameter takes along the axis, inches."""
 NUMBER_ROOM = 0.22
 """Width that a number of up to three digits takes along the axis, inches."""
-CELLS_ALONG = 26
-"""Number of cells along the longer side of a map of uncertainty."""
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
@@ -51,8 +49,7 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             style.plain_decades(axes.yaxis)
         first, last = (style.short(float(rms[i])) for i in (0, -1))
-        count = len(rms) - 1
-        style.headline(panels[0], f"Least squares: {first} to {last} mm in {count_of(count, 'iteration')}")
+        style.headline(panels[0], f"Least squares: {first} to {last} mm in {count_of(len(rms) - 1, 'iteration')}")
     return figure
 
 
@@ -119,7 +116,9 @@ def parameter_spectrum(
 
 
 def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike) -> Figure:
-    """Draw a map of the mean uncertainty in square cells; the axes are the distance from the base and the height.
+    """Draw a map of the mean uncertainty in square cells, 26 along the longer side.
+
+    The axes are the distance from the base and the height.
 
     Args:
         distance_mm: Horizontal distance of the tool from the base at each pose ``(N,)``, mm.
@@ -128,7 +127,7 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
     """
     series = {"distance": distance_mm, "height": height_mm, "uncertainty": uncertainty_mm}
     x, y, values = style.finite_series(series).values()
-    step = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9) / CELLS_ALONG
+    step = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9) / 26
     edges = [v.min() + step * np.arange(int(np.ptp(v) // step) + 2) for v in (x, y)]
     count, total = (np.histogram2d(x, y, edges, weights=weights)[0].T for weights in (None, values))
     mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)

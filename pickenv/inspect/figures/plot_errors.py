@@ -34,9 +34,6 @@ from pickenv.inspect.runs.traces import ViewErrors
 
 PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.85
 """Width of one panel, and height of the titles and the colour bar together, inches."""
-MOST_ARROWS = 400
-"""Largest number of arrows in a panel. More arrows would cover each other. A larger field is therefore drawn at every
-second, third … cell along each axis only."""
 
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "headwidth": 3.5, "minlength": 0.0}
 """Matplotlib's settings for arrows whose vectors are in the units of the axes."""
@@ -53,6 +50,7 @@ MOST_VIEWS, BESIDE = 9, 3
 PICTURE_WIDTH, FAINT = 320, 0.4
 """Width, px, and opacity of the pictures behind arrows."""
 ARROWS: dict[str, Any] = QUIVER | {"scale": 1.0, "width": 0.008, "zorder": 2.0}
+CENTRED = {"axes.titlelocation": "center"}
 GROUPS = 8
 """Largest number of groups of poses whose mean errors are drawn against a possible cause."""
 WIDEST = 16
@@ -76,8 +74,7 @@ def error_fields(comparison: Comparison) -> Figure:
     view = _View(comparison)
     width, height = view.high - view.low
     height = min(0.93 * PANEL_WIDTH * height / width, PANEL_WIDTH)
-    look = {"axes.titlelocation": "center"}
-    with style.new_figure(PANEL_WIDTH * max(len(policies), 3), height + BESIDE_PANELS, **look) as figure:
+    with style.new_figure(PANEL_WIDTH * max(len(policies), 3), height + BESIDE_PANELS, **CENTRED) as figure:
         panels = figure.subplots(1, len(policies), squeeze=False)[0]
         means = {}
         for axes, policy in zip(panels, policies, strict=True):
@@ -87,9 +84,8 @@ def error_fields(comparison: Comparison) -> Figure:
             axes.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), aspect="equal")
             axes.set_axis_off()
             axes.set_title(in_words(policy.label).replace(" + ", "\n+ "), fontsize=12, weight="bold", pad=15.0)
-            mean, *_, largest = summary.error_spread(summary.field_mm(policy))
-            means[policy.label] = mean
-            text = f"mean {mean:.2f} mm, max {largest:.2f} mm"
+            means[policy.label], *_, largest = summary.error_spread(summary.field_mm(policy))
+            text = f"mean {means[policy.label]:.2f} mm, max {largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)
         title = in_words(f"Mean error across the workspace: {style.change(means, 'mm')}")
@@ -98,10 +94,10 @@ def error_fields(comparison: Comparison) -> Figure:
     return figure
 
 
-def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np.intp], float]:
-    """Choose evenly spaced points of a field to draw, at most ``most``.
+def thinned(comparison: Comparison, most: int = 400) -> tuple[NDArray[np.intp], float]:
+    """Choose evenly spaced points of a field to draw, at most ``most``: every second, third … cell along each axis.
 
-    All points are chosen if every even spacing leaves too many points or none.
+    More arrows would cover each other. All points are chosen if every even spacing leaves too many points or none.
 
     Returns:
         Indices of the points, from 0 in the field, and the distance between neighbouring points, m.
@@ -198,12 +194,11 @@ def _arrow_outlines(tail: Array, tip: Array, width: float) -> Array:
 def _box(axes: Axes, view: _View) -> None:
     """Draw a wire box around the field, with each axis's range written along one of its edges."""
     farthest = int(np.argmin(view.depth(view.corners)))
-    near: dict[str, Any] = {"linewidth": 0.9, "linestyle": "-", "alpha": 1.0}
-    hidden: dict[str, Any] = {"linewidth": 0.5, "linestyle": ":", "alpha": 0.6}
     for edge in itertools.combinations(range(8), 2):
         if (edge[0] ^ edge[1]).bit_count() == 1:
-            look = hidden if farthest in edge else near
-            axes.plot(*view.flat(view.corners[list(edge)]).T, color=style.SOFT, zorder=1.0, **look)
+            width, line, alpha = (0.5, ":", 0.6) if farthest in edge else (0.9, "-", 1.0)
+            ends = view.flat(view.corners[list(edge)])
+            axes.plot(*ends.T, color=style.SOFT, zorder=1.0, linewidth=width, linestyle=line, alpha=alpha)
     for axis in range(3):
         _axis_text(axes, view, axis)
 
@@ -232,11 +227,10 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
     if not len(comparison.fruit):
         return
     nearest = int(np.argmin(np.linalg.norm(comparison.fruit - view.centre, axis=-1)))
-    points = nominal_points(comparison.nominal, comparison.policies[0].ends.joint_command[nearest])
-    flat = view.flat(points)
-    for i, (a, b) in enumerate(itertools.pairwise(flat)):
+    flat = view.flat(nominal_points(comparison.nominal, comparison.policies[0].ends.joint_command[nearest]))
+    for i in range(len(flat) - 1):
         thickness = 6.0 - 3.5 * i / (len(flat) - 1)
-        axes.plot(*np.stack([a, b]).T, color=style.RULE, linewidth=thickness, solid_capstyle="round", zorder=1.5)
+        axes.plot(*flat[i : i + 2].T, color=style.RULE, linewidth=thickness, solid_capstyle="round", zorder=1.5)
 
 
 def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
@@ -250,10 +244,9 @@ def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> Non
     """
     scale = ScalarMappable(Normalize(0.0, top), "viridis")
     look: dict[str, Any] = {"location": "bottom", "aspect": 60, "shrink": 0.8, "pad": 0.02, "extend": "max"}
-    bar = style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
-    bar.set_ticks(summary.ticks(top))
     end = f"the colour saturates above {top:.3g} mm, the {summary.SCALE_PERCENTILE:g}th percentile of {first}"
-    bar.set_label(f"position error (mm); {end}", color=style.INK)
+    look |= {"ticks": summary.ticks(top), "label": f"position error (mm); {end}"}
+    style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
 
 
 def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: float) -> Figure:
@@ -287,9 +280,7 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
     gain = field_gain(step, top)
     low, high = points.min(axis=0) - step, points.max(axis=0) + step
     height = (style.WIDTH - 0.9) / len(layers) * (high[up] - low[up]) / (high[across] - low[across])
-    with style.new_figure(
-        style.WIDTH, 1.4 + len(fields) * (height + 0.1), **{"axes.titlelocation": "center"}
-    ) as figure:
+    with style.new_figure(style.WIDTH, 1.4 + len(fields) * (height + 0.1), **CENTRED) as figure:
         panels: Any = figure.subplots(len(fields), len(layers), squeeze=False, sharex=True, sharey=True)
         for row, (label, field) in enumerate(fields.items()):
             for column, number in enumerate(layers):
@@ -323,11 +314,9 @@ def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position
     with style.new_panel(style.WIDTH, 2.9, "test pose (number)", f"{quantity} ({unit})", legend=2) as (figure, axes):
         style.headline(axes, _better(series))
         for label, values, colour in style.coloured(series):
-            number = np.arange(1, len(values) + 1)
             name = f"{label}: mean {values.mean():.2f} {unit}, max {values.max():.2f} {unit}"
-            axes.plot(number, values, "o", color=colour, label=name, markersize=3.0)
-        longest = max(len(values) for values in series.values())
-        axes.set(xlim=(0.5, longest + 0.5), yscale="log")
+            axes.plot(np.arange(1, len(values) + 1), values, "o", color=colour, label=name, markersize=3.0)
+        axes.set(xlim=(0.5, max(map(len, series.values())) + 0.5), yscale="log")
         style.plain_decades(axes.yaxis)
     return figure
 
@@ -502,10 +491,9 @@ def corner_errors(views: Sequence[ViewErrors]) -> Figure:
     together, (gain, top) = ViewErrors("all", places, errors, size), _scale(views)
     height = style.WIDTH * 0.72 * size[1] / size[0] + 0.6
     with style.new_panel(style.WIDTH, height, "u (px)", "v (px)") as (figure, axes):
-        arrows = _draw(axes, together, gain, top)
         corners = f"{len(errors)} corners of {len(views)} views"
         axes.set_title(f"{together.rms:.3g} px RMS over {corners}, errors drawn ×{gain:g}")
-        style.colour_bar(figure, arrows, axes, label="error (px)")
+        style.colour_bar(figure, _draw(axes, together, gain, top), axes, label="error (px)")
     return figure
 
 
@@ -569,8 +557,6 @@ def _scale(views: Sequence[ViewErrors]) -> tuple[float, float]:
 
 def _draw(axes: Axes, view: ViewErrors, gain: float, top: float, thickness: float = 1.0) -> Quiver:
     width, height = view.size
-    lengths = np.linalg.norm(view.errors, axis=1)
     look = QUIVER | {"scale": 1.0 / gain, "width": 0.004 * thickness, "cmap": "viridis", "clim": (0.0, top)}
-    arrows = axes.quiver(*(view.found - view.errors).T, *view.errors.T, lengths, **look)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
-    return arrows
+    return axes.quiver(*(view.found - view.errors).T, *view.errors.T, np.linalg.norm(view.errors, axis=1), **look)

@@ -43,8 +43,7 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
                     face = _colour(arm) if got else "none"
                     axes.barh([arm] * len(length), length, 0.7, tree.start[mine], color=face, edgecolor=_colour(arm))
             waited = tree.held > 0.0
-            begin = (tree.start - tree.held)[waited]
-            axes.barh(tree.arm[waited], tree.held[waited], 0.18, begin, color=RED)
+            axes.barh(tree.arm[waited], tree.held[waited], 0.18, (tree.start - tree.held)[waited], color=RED)
             axes.set_yticks(range(arms + 1), [*(f"arm {i + 1}" for i in range(arms)), "master stands"])
             count = f"{int(tree.collected.sum())} of {len(tree.fruit)} fruit"
             style.headline(axes, f"{name}: {count} in {tree.seconds:.0f} s")

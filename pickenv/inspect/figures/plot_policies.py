@@ -17,18 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from pickenv.base import Estimate, InputError
-from pickenv.inspect.colours import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    OTHERS,
-    RED,
-    as_sentence,
-    in_words,
-    policy_colours,
-    policy_label,
-)
+from pickenv.inspect.colours import GREY, METHODS, ORANGE, RED, as_sentence, in_words, policy_colours, policy_label
 from pickenv.inspect.figures import style
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
@@ -40,8 +29,6 @@ UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
 LINE_INCHES = 0.17
 """Height of a whisker with its margin, inches."""
 
-METHODS = (BLUE, GREEN, *OTHERS[:2], GREY)
-"""Colours of methods other than raw, used in turn."""
 ALIKE = 0.01
 """Methods whose errors differ by less than this share everywhere are drawn as one line."""
 
@@ -99,8 +86,7 @@ def estimates_figure(
                     y = line + 0.8 * ((keys.index(key) + 0.5) / len(keys) - 0.5)
                     style.whisker(axis, y, number.value, number.ci95, colours[key])
                 axis.set_yticks(range(len(places)), labels)
-                axis.set_ylim(len(places) - 0.5, -0.5)
-                axis.set_xscale("log" if log else "linear")
+                axis.set(ylim=(len(places) - 0.5, -0.5), xscale="log" if log else "linear")
             if log:
                 style.plain_decades(axis.xaxis if x is None else axis.yaxis)
         if x is None:
@@ -211,8 +197,6 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
 
 SMALLEST = 1e-3
 """Smallest error that logarithmic axes show, mm. Errors below it are drawn at this value."""
-HEIGHTS = 3
-"""Number of layers of the workspace that a map of differences shows."""
 
 
 def distance_over_time(episodes: RecordedEpisodes) -> Figure:
@@ -238,14 +222,14 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
 def difference_map(comparison: Comparison) -> Figure:
     """Draw a map of the workspace, coloured by the position error of the last policy minus that of the first, mm.
 
-    Each panel shows one layer of the workspace from above, with differences averaged over the height of the layer.
+    Each of three panels shows one layer of the workspace from above, with differences averaged over the layer's height.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     change, points = summary.field_mm(last) - summary.field_mm(first), comparison.grid.points
     top = float(np.percentile(np.abs(change), summary.SCALE_PERCENTILE)) or 1.0
     worse, better = style.rgb(policy_colours([first.key, last.key]))
     colours = LinearSegmentedColormap.from_list("nearer", [better, (0.82, 0.82, 0.84), worse])
-    layers = np.array_split(np.unique(comparison.grid.index[:, 2]), HEIGHTS)
+    layers = np.array_split(np.unique(comparison.grid.index[:, 2]), 3)
     rows = [np.isin(comparison.grid.index[:, 2], layer) for layer in layers if len(layer)]
     corner, step = comparison.grid.corner, comparison.grid.step
     width, depth = comparison.grid.shape[:2]
@@ -271,8 +255,7 @@ def difference_map(comparison: Comparison) -> Figure:
 
 
 Estimated = tuple[float, tuple[float | None, float | None] | None]
-"""An estimate and the two ends of its 95 % interval. An open end is None. If there is no interval, the pair of ends is
-None."""
+"""An estimate and the two ends of its 95 % interval: None for an open end, None in place of both for no interval."""
 
 
 def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> Figure:
@@ -361,8 +344,6 @@ def accuracy_against_cycle_time(
     Raises:
         InputError: If there is no curve, or one is empty or not finite.
     """
-    if not curves:
-        raise InputError("there is no curve to draw; give at least one")
     series = style.finite_series({", ".join(labels): error for labels, error in curves.items()})
     errors = [error.clip(SMALLEST) for error in series.values()]
     patterns = dict(zip(dict.fromkeys(policy for policy, _ in curves), style.LINES * len(curves), strict=False))
@@ -371,16 +352,14 @@ def accuracy_against_cycle_time(
     times = period * np.arange(1, 1 + max(map(len, errors)))
     with style.new_panel(style.WIDTH, 3.2, "cycle time (s)", "mean position error (mm)") as (figure, axes):
         axes.set_yscale("log")
-        first, ends = next(iter(patterns)), {}
+        first = next(iter(patterns))
+        ends = {label: float(e[-1]) for (policy, label), e in zip(curves, errors, strict=True) if policy == first}
         for (policy, compensation), error in zip(curves, errors, strict=True):
             axes.plot(times[: len(error)], error, linestyle=patterns[policy], color=colours[compensation])
-            if policy == first:
-                ends[compensation] = float(error[-1])
         front = np.minimum.accumulate(np.min([error[:shortest] for error in errors], axis=0))
         policy = f"{first} on {in_words(title)}" if title else first
         style.headline(axes, f"{policy} after {period * len(errors[0]):.1f} s: {style.change(ends, 'mm')}", beside=1.2)
-        grey = style.rgb([GREY])[0]
-        axes.plot(times[:shortest], front, color=grey, linewidth=6, zorder=0, label="best so far")
+        axes.plot(times[:shortest], front, color=style.rgb([GREY])[0], linewidth=6, zorder=0, label="best so far")
         for policy, pattern in patterns.items():
             axes.plot([], [], linestyle=pattern, color=style.SOFT, label=style.label_words(policy))
         for name, colour in colours.items():
@@ -399,8 +378,7 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
     """
     kinds = {"AP": style.finite_series(accuracy_mm), "RP": style.finite_series(repeatability_mm)}
     with style.new_figure(style.WIDTH, 2.6) as figure:
-        panels: Any = figure.subplots(1, 2)
-        for axes, (kind, series) in zip(panels, kinds.items(), strict=True):
+        for axes, (kind, series) in zip(figure.subplots(1, 2), kinds.items(), strict=True):
             for i, (label, values, colour) in enumerate(style.coloured(series)):
                 place = np.arange(1, len(values) + 1) + 0.35 * (i - (len(series) - 1) / 2.0)
                 axes.bar(place, values, 0.33, color=colour, label=f"{label}: worst {values.max():.3f} mm")

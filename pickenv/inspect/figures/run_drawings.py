@@ -105,9 +105,8 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
     fields = {policy.label: policy.field_errors for policy in comparison.policies}
     mm = {policy.label: policy.ends.position_error_mm for policy in comparison.policies}
     degrees = {policy.label: policy.ends.attitude_error_deg for policy in comparison.policies}
-    reaches: dict[str, Any] = {"counted": "reaches"}
-    attitude = {"quantity": "attitude error", "unit": "deg", **reaches}
-    within = {"tolerance": comparison.tolerance_mm, **reaches}
+    attitude = {"quantity": "attitude error", "unit": "deg", "counted": "reaches"}
+    within = {"tolerance": comparison.tolerance_mm, "counted": "reaches"}
     drawings = [
         captioned("error_fields", plot_errors.error_fields, comparison),
         captioned("error_slices", plot_errors.error_slices, comparison.grid.points, fields, step=comparison.grid.step),
@@ -118,7 +117,7 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
         return [*drawings, Drawing("reach_errors", "the comparison has no reaches; run some")]
     return [
         *drawings,
-        captioned("position_error_by_policy", plot_errors.error_by_method, mm, **reaches),
+        captioned("position_error_by_policy", plot_errors.error_by_method, mm, counted="reaches"),
         captioned("attitude_error_by_policy", plot_errors.error_by_method, degrees, **attitude),
         captioned("reach_errors_cumulative", plot_errors.error_cumulative, mm, **within),
         captioned("success_against_misalignment", _success, comparison),

@@ -38,8 +38,7 @@ MARKS = "os^Dv"
 _SHEET: Any = matplotlib.rc_params_from_file(Path(__file__).parent / "pickenv.mplstyle", use_default_template=False)
 STYLE: dict[str, Any] = dict(_SHEET)
 INK, SOFT, RULE, PAPER = STYLE["text.color"], STYLE["axes.edgecolor"], STYLE["grid.color"], "#ffffff"
-"""Colours, in this order: text and markers, axes and secondary parts, grid lines, background. HTML pages replace these
-colours by their own."""
+"""Colours of text and markers, axes and secondary parts, grid lines, background; HTML pages put theirs in place."""
 
 THEME: dict[str, str] = {INK: "ink", SOFT: "soft", RULE: "rule", PAPER: "paper"} | {
     "#{:02x}{:02x}{:02x}".format(*colour): variable
@@ -189,17 +188,15 @@ def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
     A curve is in a group if it differs from the group's first curve by less than ``nearest`` everywhere. ``nearest`` is
     in the curves' unit.
     """
-    groups: list[list[str]] = []
     values = {name: np.asarray(curve, dtype=float) for name, curve in curves.items()}
+
+    def near(first: Array, curve: Array) -> bool:
+        return bool(first.shape == curve.shape and np.max(np.abs(first - curve), initial=0.0) < nearest)
+
+    groups: dict[str, list[str]] = {}  # by the name of the group's first curve
     for name, curve in values.items():
-        for group in groups:
-            first = values[group[0]]
-            if first.shape == curve.shape and np.max(np.abs(first - curve), initial=0.0) < nearest:
-                group.append(name)
-                break
-        else:
-            groups.append([name])
-    return groups
+        groups.setdefault(next((first for first in groups if near(values[first], curve)), name), []).append(name)
+    return list(groups.values())
 
 
 def spaced(labels: Sequence[str], least: float, room: float) -> list[str]:

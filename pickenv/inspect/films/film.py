@@ -50,13 +50,9 @@ HALF = (400, 360)
 STRIP = 28
 """Height of the line of text below the halves, px."""
 GAP = 4
+PALETTE = "[a]palettegen=max_colors=112:stats_mode=full[p];[b][p]paletteuse=dither=none:diff_mode=rectangle"
 KINDS = {
-    ".gif": (
-        "-filter_complex",
-        "split[a][b];[a]palettegen=max_colors=112:stats_mode=full[p];[b][p]paletteuse=dither=none:diff_mode=rectangle",
-        "-loop",
-        "0",
-    ),
+    ".gif": ("-filter_complex", f"split[a][b];{PALETTE}", "-loop", "0"),
     ".mp4": ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "22", "-movflags", "+faststart"),
 }
 """Options with which ffmpeg writes each kind of file, by suffix."""
@@ -65,9 +61,8 @@ Progress = Callable[[str, int, int], None]
 
 
 Attempt: TypeAlias = tuple[int, int, int, bool]
-"""A policy's attempt at one fruit in one episode, as four values. The first three are moments: the attempt begins; the
-gripper closes, and the fruit has hung still until then; the fruit is collected, or the gripper has closed beside it.
-The fourth says whether the fruit was collected."""
+"""A policy's attempt at one fruit in one episode: the moments at which it begins, at which the gripper closes (until
+then the fruit hangs still), and at which the fruit is collected or missed; and whether it was collected."""
 
 
 @dataclass(frozen=True)
@@ -122,11 +117,9 @@ def plan_film(
     reaching &= all(np.isfinite(policy.miss_mm).sum(axis=1).max() <= 1 for policy in policies)
     ways = [_way(policies, episode, reaching) for episode in range(len(episodes.seeds))]
     count = round(seconds * frames_per_second)
-    total = np.cumsum([len(way) for way in ways])
-    last = max(int((total <= count * MOST_MOMENTS).sum()), 1)
+    last = max(int((np.cumsum([len(way) for way in ways]) <= count * MOST_MOMENTS).sum()), 1)
     moments = [moment for way in ways[:last] for moment in way]
-    picks = np.round(np.linspace(0, len(moments) - 1, count)).astype(int)
-    frames = tuple(moments[index] for index in picks)
+    frames = tuple(moments[index] for index in np.round(np.linspace(0, len(moments) - 1, count)).astype(int))
     speed = len(moments) * episodes.period * frames_per_second / count
     return Film(episodes, policies, frames, frames_per_second, speed, reaching, dark)
 
@@ -396,10 +389,8 @@ def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
     policy in the film. The components are those of `seen_along`, which views the fruit along the tool's axis.
     """
     policy, attempts = film.policies[side], film.attempts[side]
-    closed = [(e, close) for e in range(episode) for _, close, *_ in attempts[e]]
-    closed += [(episode, close) for _, close, *_ in attempts[episode] if close <= now]
-    ahead = film.eye.axes()[2]
-    marks = [seen_along(tool_axis(policy, *at), grasp_offset(policy, *at), ahead) for at in closed]
+    closed = [(e, t) for e in range(episode + 1) for _, t, *_ in attempts[e] if e < episode or t <= now]
+    marks = [seen_along(tool_axis(policy, *at), grasp_offset(policy, *at), film.eye.axes()[2]) for at in closed]
     return 1e3 * np.reshape(marks, (-1, 2))
 
 

@@ -40,7 +40,6 @@ from pickenv.inspect.runs.comparison_summary import GAIN, round_step, stage_labe
 from pickenv.inspect.runs.recorded_episodes import Comparison, FieldGrid, Reaches, RecordedPolicy, ended, field_grid
 from pickenv.inspect.runs.run_folder import eye_direction, shown_box
 
-TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008
 """Radius of a drawn fruit, m; smaller than an apple, so that a hundred fruit hide nothing."""
 
@@ -61,7 +60,7 @@ def record_comparison(comparison: Comparison, path: str | Path) -> Path:
     """
     _check(comparison)
     arrows, day = details.arrow_tabs(comparison), details.day_of(comparison)
-    times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
+    times = [rr.TimeColumn("reach", sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
     return write_recording(
         path,
         f"{comparison.plant.name}:seed{comparison.seed}",
@@ -177,9 +176,8 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     for i, (policy, colour) in enumerate(zip(comparison.policies, comparison.colours, strict=True)):
         numbers, _ = np.histogram(policy.ends.position_error_mm, edges)
         middle = f32((edges[:-1] + edges[1:]) / 2.0 + (i - (count - 1) / 2.0) * width)
-        widths = f32(np.full(len(numbers), width))
-        chart = rr.BarChart(numbers, abscissa=middle, widths=widths, color=(*colour, 255))
-        scribe.still(f"hist/{lane(policy.key)}", chart)
+        look: Any = {"abscissa": middle, "widths": f32(np.full(len(numbers), width)), "color": (*colour, 255)}
+        scribe.still(f"hist/{lane(policy.key)}", rr.BarChart(numbers, **look))
 
 
 # The default layout: fields side by side on top, reaches and numbers below. All 3D views start with the same eye, and
@@ -207,9 +205,6 @@ def space(comparison: Comparison, name: str, contents: list[str], origin: str = 
     return seen_from(eye, centre, origin, [*contents, "+ /world/workspace", "+ /world/axes"], name, **more)
 
 
-REACHES_PER_SECOND = 2.0
-
-
 def comparison_blueprint(
     comparison: Comparison, arrows: Mapping[str, details.ArrowTab], day: details.Day
 ) -> rrb.Blueprint:
@@ -223,10 +218,9 @@ def comparison_blueprint(
     policies, has_reaches = comparison.policies, len(comparison.fruit) > 0
     title = "{} | error magnitude, mm, corner cut away"
     voxels = [space(comparison, title.format(p.label), [f"+ /world/field/{p.key}/voxels"]) for p in policies]
-    slices = [_slice(comparison, policy) for policy in policies]
     errors, *reasons = (_arrows(comparison, name, *tab) for name, tab in arrows.items())
     meaning = _meaning("mm", summary.colour_scale_mm(comparison))
-    fields = {"Voxels": voxels, "Slices": slices}
+    fields = {"Voxels": voxels, "Slices": [_slice(comparison, policy) for policy in policies]}
     tabs: list[Any] = [errors, *(with_colour_bar(views, "position", meaning, name) for name, views in fields.items())]
     below = [rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary")]
     if has_reaches:
@@ -234,7 +228,7 @@ def comparison_blueprint(
         reasons.insert(0, _arms(comparison))
         below = [_reaches(comparison), view_of(rrb.BarChartView, "hist", "Reaches by final position error, mm"), *below]
     if comparison.field_uncertainty is not None:
-        reasons.append(_uncertainty(comparison))
+        reasons.append(_uncertainty(comparison, 1e3 * comparison.field_uncertainty))
     if day:
         reasons.append(_day(comparison, day))
     if has_reaches:
@@ -244,7 +238,7 @@ def comparison_blueprint(
         rrb.Horizontal(*below, column_shares=[2.7, 1.8, 3.5][-len(below) :]),
         row_shares=[5.6, 4.4],
     )
-    return layout(content, "reach" if has_reaches else None, fps=REACHES_PER_SECOND)
+    return layout(content, "reach" if has_reaches else None, fps=2.0)  # reaches per second
 
 
 def _meaning(unit: str, top: float) -> str:
@@ -318,9 +312,9 @@ def _arms(comparison: Comparison) -> Any:
     )
 
 
-def _uncertainty(comparison: Comparison) -> Any:
-    assert comparison.field_uncertainty is not None
-    last, predicted = comparison.policies[-1], 1e3 * comparison.field_uncertainty
+def _uncertainty(comparison: Comparison, predicted: Array) -> Any:
+    """Return the tab of the standard uncertainty ``predicted`` ``(F,)``, mm, beside the last policy's actual errors."""
+    last = comparison.policies[-1]
     actual = summary.field_mm(last)
     inside = 100.0 * float(np.mean(actual < 2.0 * predicted))
     least, most = float(predicted.min()), float(predicted.max())
@@ -348,10 +342,6 @@ def _day(comparison: Comparison, day: details.Day) -> Any:
     )
     words = rrb.TextDocumentView(origin=f"/{details.DAY_WORDS}", contents=[f"+ /{details.DAY_WORDS}"], name="Why")
     return rrb.Horizontal(plot, words, column_shares=[3, 1], name="A day in the field")
-
-
-CELLS = 10
-"""Approximate number of cells along the longest side of a field whose points lie on no grid."""
 
 
 def inspect_calibration(
@@ -475,10 +465,10 @@ def _without_reaches(
 def _grid_around(points: Array, joints: Array) -> FieldGrid:
     """Return a grid around irregular points ``(F, 3)``, m, at which the arm has ``joints`` ``(F, n)``.
 
-    Cells are cubes of a round size, with about `CELLS` cells along the longest side.
+    Cells are cubes of a round size, with about ten cells along the longest side.
     """
     low, high = points.min(axis=0), points.max(axis=0)
-    step = round_step(max(float((high - low).max()), 1e-3) / CELLS)
+    step = round_step(max(float((high - low).max()), 1e-3) / 10)
     shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
     corner = (low + high - shape * step) / 2.0
     index = np.clip(((points - corner) / step).astype(np.int64), 0, shape - 1)

@@ -33,10 +33,7 @@ from pickenv.inspect.runs.run_folder import cut_away
 # What a recording holds besides fields and reaches: effects, attitude, uncertainty, a day, the arms as URDF.
 
 
-DAY_TIME_LINE = "hours"
 DAY_WORDS = "about_the_day"
-WORLD = "tf#/"
-"""Rerun's name for the coordinate frame of the root entity, in which both URDF arms are placed."""
 
 
 def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, ArrowTab], day: Day) -> None:
@@ -85,7 +82,7 @@ def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Arr
 
 def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
     """Send the mean and 95th percentile of errors over all fruit at each time of the day, and an explanation."""
-    times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day_hours(comparison))]
+    times = [*scribe.times, rr.TimeColumn("hours", duration=3600.0 * day_hours(comparison))]
     hours = Scribe(scribe.stream, times)
     for (key, (label, errors)), colour in zip(day.items(), policy_colours(list(day)), strict=True):
         curves = {"mean": (errors.mean(axis=1), 2.2), "p95": (np.percentile(errors, 95, axis=1), 1.0)}
@@ -105,7 +102,8 @@ def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, col
             static_transform_entity_path=f"{name}/tf_static",
         )
     tree.log_urdf_to_recording(scribe.stream)
-    scribe.still(f"{name}/base", rr.Transform3D(parent_frame=WORLD, child_frame=f"{name}/base"))
+    # Both arms are placed in the frame of the root entity, which rerun calls "tf#/".
+    scribe.still(f"{name}/base", rr.Transform3D(parent_frame="tf#/", child_frame=f"{name}/base"))
     for link in dict.fromkeys(joint.parent_link for joint in tree.joints()):
         for entity in tree.get_visual_geometry_paths(link):
             scribe.still(entity, rr.Cylinders3D.from_fields(colors=[colour], fill_mode=fill_mode))
@@ -123,9 +121,8 @@ FLOOR = "floor"
 
 
 ArrowTab: TypeAlias = tuple[str, float, Mapping[str, tuple[str, Array, Array]]]
-"""Fields of arrows that are shown side by side with one colour scale, as three values. The first is the unit of the
-errors, mm or deg. The second is the upper end of the scale, in that unit. The third has, by entity, the title of the
-field, the arrows as drawn ``(F, 3)``, m, and the errors that they show ``(F, 3)``, in that unit."""
+"""Fields of arrows, side by side: the unit of the errors, mm or deg; the upper end of the colour scale in that unit;
+and by entity, a title, the arrows as drawn ``(F, 3)``, m, and the errors that they show ``(F, 3)``, in that unit."""
 LEGENDS = {"mm": "position", "deg": "attitude"}
 """Keys of colour scales, by the scale's unit."""
 
@@ -138,24 +135,23 @@ def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     alone. A third tab has the attitude errors, if they are known.
     """
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
-    errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
+    errors = {f"world/field/{p.key}/vectors": _titled(p.label, p.field_errors, "arrows ") for p in policies}
     if len(policies) > 1:
-        before, last = policies[-2:]
-        removed = before.field_errors - last.field_errors
-        errors["world/field/removed/vectors"] = "removed by the last model", "", removed
+        removed = policies[-2].field_errors - policies[-1].field_errors
+        errors["world/field/removed/vectors"] = _titled("removed by the last model", removed)
     effects = effect_fields(comparison)
-    single = {f"world/effect/{name}": (name.replace("_", " "), "", field) for name, field in effects.items()}
-    tabs: dict[str, ArrowTab] = {}
-    for name, fields in ((f"Error fields, arrows ×{GAIN:g}", errors), ("Effects, each alone", single)):
-        if not fields:
-            continue
-        views = {}
-        for entity, (label, arrows, field) in fields.items():
-            mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
-            views[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{GAIN:g}", GAIN * field, 1e3 * field
-        tabs[name] = "mm", top, views
+    single = {f"world/effect/{name}": _titled(name.replace("_", " "), field) for name, field in effects.items()}
+    tabs: dict[str, ArrowTab] = {f"Error fields, arrows ×{GAIN:g}": ("mm", top, errors)}
+    if single:
+        tabs["Effects, each alone"] = "mm", top, single
     attitude = attitude_fields(comparison)
     return tabs | {"Attitude": _attitude_tab(comparison, attitude)} if attitude else tabs
+
+
+def _titled(label: str, field: Array, arrows: str = "") -> tuple[str, Array, Array]:
+    """Return the entry of an `ArrowTab` for position errors ``field`` ``(F, 3)``, m; ``arrows`` precedes the factor."""
+    mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
+    return f"{label} | mean {mean:.2f} mm | {arrows}×{GAIN:g}", GAIN * field, 1e3 * field
 
 
 def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> ArrowTab:
@@ -179,12 +175,8 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
     """
     plant, joints = comparison.plant, comparison.grid.joints
     nominal = forward(comparison.nominal, joints).position
-    fields = {}
-    for name in causes_of(plant):
-        field = alone(plant, name).tool_pose(joints).position - nominal
-        if np.abs(field).max(initial=0.0) > NO_FIELD:
-            fields[name] = field
-    return fields
+    fields = {name: alone(plant, name).tool_pose(joints).position - nominal for name in causes_of(plant)}
+    return {name: field for name, field in fields.items() if np.abs(field).max(initial=0.0) > NO_FIELD}
 
 
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
@@ -213,17 +205,14 @@ DAY_HOURS = 8.0
 CAMERA_STD = 1e-3
 """Standard deviation of a camera's measurement of the tool position, per axis, m."""
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
-"""Measurement noise that the Kalman filter assumes: the camera's noise, and 0.5 mm for errors that geometry cannot
-explain."""
+"""Noise that the Kalman filter assumes: the camera's, and 0.5 mm for errors that geometry cannot explain."""
 PRIOR, WALK = 0.2, 0.3
-"""Assumptions of the Kalman filter, both in units of a parameter's tolerance: the prior standard deviation of each
-parameter after calibration, and its random walk per square root of an hour."""
+"""The Kalman filter's prior standard deviation of each parameter after calibration, and its random walk per square root
+of an hour, both in units of the parameter's tolerance."""
 FILTERED = 10
-"""Largest number of simulated machines with a Kalman filter, which takes more time than the other parts of a
-recording."""
+"""Largest number of machines with a Kalman filter, which takes more time than the other parts of a recording."""
 FEWEST_LOOKS = 10
-"""Smallest number of reaches for which a Kalman filter is run, since it needs enough measurements at different joint
-values."""
+"""Smallest number of reaches with a Kalman filter, which needs measurements at different joint values."""
 
 
 ADAPTED = "adapted"
@@ -231,10 +220,9 @@ ADAPTED = "adapted"
 
 
 Day: TypeAlias = Mapping[str, tuple[str, Array]]
-"""Error curves of the same reaches over a day, while the arm warms up and the machine tilts and sinks. Each key has a
-label and position errors, mm. A policy's key has the errors of every reach at every time ``(R times, R reaches)``.
-`ADAPTED` has the errors of the last policy with commands that a filter corrects ``(R times, M machines)``. Each of
-these machines begins with a different reach. `ADAPTED` is missing if there are too few reaches."""
+"""Labels and position errors, mm, of the same reaches over a day, while the arm warms up and the machine tilts and
+sinks: by a policy's key, of every reach at every time ``(R times, R reaches)``; by `ADAPTED`, of the last policy with
+commands that a filter corrects ``(R times, M machines)``, each beginning with another reach, if there are enough."""
 
 
 def day_hours(comparison: Comparison) -> Array:
@@ -334,8 +322,7 @@ def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     commands = comparison.policies[-1].ends.joint_command
     intended = joints_at(nominal, commands, comparison.fruit)
     starts = np.unique(np.linspace(0, count, FILTERED, endpoint=False).astype(np.int64))
-    first = start_filter(complete_model(nominal), nominal, intended, full_pose=False, prior=PRIOR)
-    filters = [first] * len(starts)
+    filters = [start_filter(complete_model(nominal), nominal, intended, full_pose=False, prior=PRIOR)] * len(starts)
     rng = np.random.default_rng(stream(comparison.seed, "day"))
     state = plant.initial_state(np, split_joints(nominal.joints, commands[starts]))
     errors = np.empty((count, len(starts)))

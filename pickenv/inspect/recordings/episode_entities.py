@@ -77,15 +77,21 @@ class EpisodeLog:
         self._episode = self._step = -1
         self._within, self._left = 0, 0.0
 
-    def begins(self) -> bool:
-        """Count a new episode, and return whether its first `info` is to be recorded."""
+    def begin(self, info: Mapping[str, Any], target: Array | None = None) -> None:
+        """Count a new episode, and add its first `info` to `rows` if it is to be recorded.
+
+        Args:
+            info: The `info` of the reset.
+            target: As for `note`.
+        """
         self._episode += 1
         self._within = 0
         if self.length == np.inf:
             self._left = 0.0
         if self._episode_trigger is not None and self._episode_trigger(self._episode):
             self._left = self.length
-        return self._wanted()
+        if self._wanted():
+            self.note(info, 0.0, target)
 
     def steps(self) -> bool:
         """Count a new step, and return whether its `info` is to be recorded."""
@@ -252,16 +258,14 @@ def send_steps(
         scribe.dots(f"{root}/fruit/{key}", fruit, FRUIT, FRUIT_RADIUS)
         scribe.dots(f"{root}/tool/{key}", tool, colour, TOOL_RADIUS)
         scribe.dots(f"target/{key}", 1e3 * miss, colour, rr.Radius.ui_points(4.0))
-        arrow = rr.Arrows3D.from_fields(colors=[RED], radii=rr.Radius.ui_points(2.0))
-        scribe.still(f"{root}/miss/{key}", arrow)
+        scribe.still(f"{root}/miss/{key}", rr.Arrows3D.from_fields(colors=[RED], radii=rr.Radius.ui_points(2.0)))
         arrows = rr.Arrows3D.columns(origins=f32(fruit), vectors=f32(miss))
         scribe.along(f"{root}/miss/{key}", arrows, reading_columns(1e3 * miss))
         if scene.tolerance_mm is not None:
             scribe.capture("target/capture", scene.tolerance_mm)
     if "is_success" in info:
         looks = {"yes": (f"{scene.label}: success", colour), "no": (f"{scene.label}: not yet", STEEL)}
-        states = ["yes" if row.info["is_success"] else "no" for row in new]
-        scribe.lane(f"outcome/{lane(key)}", looks, states)
+        scribe.lane(f"outcome/{lane(key)}", looks, ["yes" if row.info["is_success"] else "no" for row in new])
     distance, ends = distances_mm(new), distances_mm(last_rows(rows))
     if distance is not None and ends is not None:
         entity = f"distance/{lane(key)}"
@@ -359,7 +363,7 @@ DECADES = "log10 of mm (-1: 0.1 mm, 0: 1 mm, 1: 10 mm)"
 def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
     """Return the layout (blueprint) for a recording whose steps have the same `info` entries as ``rows``."""
     info = rows[0].info
-    plots: list[Any] = [distance_plot("Distance to the fruit")] if distances_mm(rows[:1]) is not None else []
+    plots: list[Any] = [distance_plot()] if distances_mm(rows[:1]) is not None else []
     numbers = number_plots(info)
     plots.append(rrb.Tabs(*numbers, active_tab=len(numbers) - 1) if plots else rrb.Vertical(*numbers))
     if "is_success" in info:
@@ -382,9 +386,9 @@ def number_plots(info: Mapping[str, Any]) -> list[Any]:
     ]
 
 
-def distance_plot(name: str) -> Any:
-    """Return a plot of the logarithm of the distance from tool to fruit; its title begins with ``name``."""
-    title = f"{name}, {DECADES}; legend: mean at the end"
+def distance_plot() -> Any:
+    """Return a plot of the logarithm of the distance from tool to fruit."""
+    title = f"Distance to the fruit, {DECADES}; legend: mean at the end"
     legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True)
     return view_of(rrb.TimeSeriesView, "distance", title, plot_legend=legend)
 

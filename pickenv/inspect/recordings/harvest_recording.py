@@ -127,11 +127,10 @@ def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arri
         gone[later.fruit[later.fruit >= 0]] = False
     numbers = np.flatnonzero(shown.zone.holds(harvest.tree.fruit) & ~gone)
     moments = np.concatenate([[0.0], arrival + np.sort(shown.times.end)])
-    colours = fates(shown, numbers, moments - arrival)
     scribe = Scribe(stream, [rr.TimeColumn("sim_time", duration=moments)])
     places = rr.Points3D.from_fields(positions=f32(harvest.tree.fruit[numbers]), radii=[FRUIT_RADIUS] * len(numbers))
     scribe.still("world/fruit", places)
-    changing = rr.Points3D.columns(colors=colours.reshape(-1, 3))
+    changing = rr.Points3D.columns(colors=fates(shown, numbers, moments - arrival).reshape(-1, 3))
     scribe.along("world/fruit", changing.partition([len(numbers)] * len(moments)))
 
 

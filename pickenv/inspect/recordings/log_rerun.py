@@ -196,8 +196,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         """Reset the environment, and record its first `info` if a trigger asks for that."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._recorder.met(info)
-        if self._log.begins():
-            self._log.note(info, 0.0, believed_joints(self.env))
+        self._log.begin(info, believed_joints(self.env))
         return observation, info
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
@@ -251,8 +250,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         VectorWrapper.__init__(self, env)
         if not indices or not all(0 <= i < env.num_envs for i in indices) or len(set(indices)) != len(indices):
             raise InputError(f"indices are {list(indices)}; give different numbers from 0 to {env.num_envs - 1}")
-        keys = [f"{policy}/env_{i}" for i in indices]
-        self._recorder = _Recorder(env, keys, settings)
+        self._recorder = _Recorder(env, [f"{policy}/env_{i}" for i in indices], settings)
         self._logged = list(zip(indices, self._recorder.logs, strict=True))
         self._over = np.zeros(env.num_envs, dtype=np.bool_)
 
@@ -266,8 +264,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         for i, log in self._logged:
             if mask is None or mask[i]:
                 self._over[i] = False
-                if log.begins():
-                    log.note(entities.info_of(infos, i), 0.0)
+                log.begin(entities.info_of(infos, i))
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -278,14 +275,13 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         for i, log in self._logged:
             if self._over[i]:  # this step began the next episode; its action was ignored
                 self._over[i] = False
-                if log.begins():
-                    log.note(entities.info_of(infos, i), 0.0)
+                log.begin(entities.info_of(infos, i))
                 continue
             over = bool(terminations[i] or truncations[i])
             if log.steps():
                 log.note(entities.info_of(infos["final_info"] if over and same_step else infos, i), float(rewards[i]))
-            if over and same_step and log.begins():
-                log.note(entities.info_of(infos, i), 0.0)
+            if over and same_step:
+                log.begin(entities.info_of(infos, i))
             self._over[i] = over and not same_step
             ended = ended or over
         if ended:

@@ -26,7 +26,6 @@ SIDEWAYS = np.array([0.8, 0.6, 0.0])
 """Direction to the scene of the next policy: to the right as the camera sees it."""
 APART = 1.25
 """Distance between the scenes of neighbouring policies, in widths of one scene."""
-NAME_SIZE = rr.Radius.ui_points(6.0)
 
 
 def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
@@ -42,9 +41,7 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
     Raises:
         InputError: If the file cannot be written.
     """
-    env = episodes.env_id.rpartition("/")[2]
-    plant = [episodes.plant_name] if episodes.plant else []
-    identity = ":".join([env, *plant, f"seed{episodes.seed}", "compared"])
+    names = episodes.env_id.rpartition("/")[2], episodes.plant_name, f"seed{episodes.seed}", "compared"
 
     def send(stream: rr.RecordingStream) -> None:
         labels = [policy.label for policy in episodes.policies]
@@ -53,7 +50,7 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
         if isinstance(episodes, Comparison):
             _send_fields(stream, episodes)
 
-    return write_recording(path, identity, _blueprint(episodes), send)
+    return write_recording(path, ":".join(filter(None, names)), _blueprint(episodes), send)
 
 
 def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
@@ -66,12 +63,11 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
     names = ["position_error_mm", "picked", "tool_position", "fruit_position", "joint_target", "reward"]
     names += ["attitude_error_deg"] * (not np.isnan(policy.attitude_error_deg).all()) + ["joint_command"] * arm
     told = {name: getattr(policy, name) for name in names} | {"is_success": policy.success}
-    rows: list[entities.Row] = []
-    for e, moments in enumerate(policy.moments):
-        for t in range(int(moments)):
-            info = {name: values[e, t].item() if values.ndim == 2 else values[e, t] for name, values in told.items()}
-            rows.append(entities.Row(e, t, e, info))
-    return rows
+    return [
+        entities.Row(e, t, e, {name: v[e, t].item() if v.ndim == 2 else v[e, t] for name, v in told.items()})
+        for e, moments in enumerate(policy.moments)
+        for t in range(int(moments))
+    ]
 
 
 def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> None:
@@ -83,7 +79,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
         root = f"side/{lane(policy.key)}"
         scribe.still(root, rr.Transform3D(translation=number * step))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
-        scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=NAME_SIZE))
+        scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=rr.Radius.ui_points(6.0)))
         scribe.words(f"{root}/name", above, policy.label)
         entities.send_steps(stream, scene, policy.key, rows, root=root)
         misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)
@@ -108,14 +104,11 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
 
     The difference is the first policy's errors minus the last policy's errors. For a single policy there is none.
     """
-    fields = []
-    for policy in comparison.policies:
-        mean, *_ = error_spread(field_mm(policy))
-        fields.append((lane(policy.key), f"{policy.label}: {mean:.3f} mm", policy.field_errors))
-    first, last = comparison.policies[0], comparison.policies[-1]
+    policies = comparison.policies
+    first, last = policies[0], policies[-1]
+    fields = [(lane(p.key), f"{p.label}: {error_spread(field_mm(p))[0]:.3f} mm", p.field_errors) for p in policies]
     if first is not last:
-        removed = first.field_errors - last.field_errors
-        fields.append(("9_difference", f"{first.label} minus {last.label}", removed))
+        fields.append(("9_difference", f"{first.label} minus {last.label}", first.field_errors - last.field_errors))
     return fields
 
 
@@ -130,26 +123,20 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
     distance = 0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))
     eye = middle + distance * entities.EYE
-    subject = "Tool and fruit"
-    if episodes.nominal is not None:
-        subject = f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
+    subject = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
     # The arm at true size stands in the enlarged one and would hide it.
     hidden = [f"- /side/{lane(policy.key)}/arm/true/**" for policy in episodes.policies]
     side = seen_from(eye, middle, "/side", ["+ /side/**", *hidden], f"{subject}; last episode")
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
     target = entities.target_view(episodes.largest_mm, episodes.tolerance_mm)
     first = rrb.Horizontal(
-        rrb.Vertical(side, verdict),
-        rrb.Vertical(entities.distance_plot("Distance to the fruit"), target),
-        name="Who is better",
+        rrb.Vertical(side, verdict), rrb.Vertical(entities.distance_plot(), target), name="Who is better"
     )
-    tabs: list[Any] = [first]
-    if isinstance(episodes, Comparison):
-        tabs.append(_field_tab(episodes))
+    fields = [_field_tab(episodes)] if isinstance(episodes, Comparison) else []
     info = rows_of(episodes.policies[0], arm=False)[0].info
     lanes = view_of(rrb.StateTimelineView, "outcome", "Success, last episode")
-    tabs.append(rrb.Vertical(rrb.Horizontal(*entities.number_plots(info)), lanes, name="Numbers"))
-    return entities.at_the_end(rrb.Tabs(*tabs, active_tab=0))
+    numbers = rrb.Vertical(rrb.Horizontal(*entities.number_plots(info)), lanes, name="Numbers")
+    return entities.at_the_end(rrb.Tabs(first, *fields, numbers, active_tab=0))
 
 
 def _field_tab(comparison: Comparison) -> Any:

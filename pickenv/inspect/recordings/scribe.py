@@ -23,7 +23,6 @@ from pickenv.inspect.runs.run_folder import capsules
 APPLICATION_ID = "pickenv"
 BASE_RADIUS, TOOL_RADIUS = 0.030, 0.012
 """Radii of the first and the last link as drawn, m; links become thinner from base to tool."""
-COLOUR_BAR_PIXELS = (512, 7)
 
 
 def write_recording(
@@ -141,16 +140,9 @@ class Scribe:
             fill_mode: Rerun's fill mode, such as "solid".
             thickness: Factor on the radii of the links.
         """
-        count = len(parts)
-        self.still(
-            entity,
-            rr.Capsules3D.from_fields(
-                radii=f32(thickness * np.linspace(BASE_RADIUS, TOOL_RADIUS, count)),
-                colors=[colour] * count,
-                line_radii=rr.Radius.ui_points(0.6),
-                fill_mode=fill_mode,
-            ),
-        )
+        radii = f32(thickness * np.linspace(BASE_RADIUS, TOOL_RADIUS, len(parts)))
+        look: Any = {"colors": [colour] * len(parts), "line_radii": rr.Radius.ui_points(0.6), "fill_mode": fill_mode}
+        self.still(entity, rr.Capsules3D.from_fields(radii=radii, **look))
         start, length, quaternion = capsules(points, parts)
         place, turn = f32(start.reshape(-1, 3)), f32(quaternion.reshape(-1, 4))
         moving = rr.Capsules3D.columns(lengths=f32(length.ravel()), translations=place, quaternions=turn)
@@ -191,19 +183,18 @@ class Scribe:
             width: Line width, points.
         """
         look: Any = {"colors": [(*RED, opacity)], "fill_mode": "majorwireframe"}
-        look["line_radii"] = rr.Radius.ui_points(width)
-        self.still(entity, rr.Ellipsoids3D.from_fields(half_sizes=[[radius] * 3], **look))
+        thin = rr.Radius.ui_points(width)
+        self.still(entity, rr.Ellipsoids3D.from_fields(half_sizes=[[radius] * 3], line_radii=thin, **look))
 
     def colour_bar(self, entity: str, top: float, unit: str) -> None:
         """Send a colour scale from 0 to ``top`` with its unit: an image, and ticks, as entities below ``entity``."""
-        width, height = COLOUR_BAR_PIXELS
+        width, height = 512, 7  # px
         bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
         self.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
         at = ticks(top)
         positions = [(tick / top * width, height - 1.0) for tick in at]
         labels = [f"{tick:g}" for tick in at[:-1]] + [f"{at[-1]:g} {unit}"]
-        words = rr.Points2D(positions, labels=labels, radii=0.0, colors=[WHITE], show_labels=True)
-        self.still(f"{entity}/ticks", words)
+        self.still(f"{entity}/ticks", rr.Points2D(positions, labels=labels, radii=0, colors=[WHITE], show_labels=True))
 
 
 def f32(values: ArrayLike) -> Any:

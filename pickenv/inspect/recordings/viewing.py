@@ -31,9 +31,9 @@ VIEWER_PORT = 9876
 VIEWER_MEMORY = "2GiB"
 """Memory limit of a viewer, beyond which it forgets the oldest steps."""
 PATIENCE = 5.0
-"""Time to wait for an answer from a running viewer, s."""
+"""Time to wait for an answer from a running viewer, and for its end after a request to end, s."""
 START_PATIENCE = 30.0
-"""Time to wait for a viewer to start, s."""
+"""Time to wait for a viewer or its server to start, s."""
 LOCAL = "127.0.0.1"
 
 
@@ -182,11 +182,6 @@ def check_answers(url: str) -> None:
 # own.
 
 
-HANDED_ON = ("content-type", "content-encoding", "cache-control")
-VIEWER_PATIENCE = 30.0
-"""Time to wait for the viewer's own server, s."""
-
-
 @contextmanager
 def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
     """Return a context that serves a viewer's web page again at a new port, with a content security policy.
@@ -211,7 +206,7 @@ def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
                 self.send_error(403)
                 return
             headers = {name: self.headers[name] for name in ("Accept", "Accept-Encoding") if name in self.headers}
-            connection = HTTPConnection(host, viewer, timeout=VIEWER_PATIENCE)
+            connection = HTTPConnection(host, viewer, timeout=START_PATIENCE)
             try:
                 connection.request("GET", self.path, headers=headers)
                 response = connection.getresponse()
@@ -223,7 +218,7 @@ def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
                 connection.close()
             self.send_response(response.status)
             for name, value in response.getheaders():
-                if name.lower() in HANDED_ON:
+                if name.lower() in ("content-type", "content-encoding", "cache-control"):
                     self.send_header(name, value)
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Content-Security-Policy", policy)
@@ -312,12 +307,6 @@ def _packed(png: bytes) -> bytes:
     return buffer.getvalue()
 
 
-BY_CTRL_C = 130
-"""Exit code of a program that Ctrl-C ended, as in shells."""
-HEADER = b"RRF"
-"""First bytes of every recording; a digit and the writer's version follow."""
-
-
 def check_recording(path: str | Path) -> None:
     """Raise an error if the installed rerun viewer cannot show a file.
 
@@ -332,7 +321,7 @@ def check_recording(path: str | Path) -> None:
             head = file.read(8)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}; give a recording (.rrd) or a run folder") from error
-    if len(head) < 8 or not head.startswith(HEADER):
+    if len(head) < 8 or not head.startswith(b"RRF"):  # a digit and the writer's version follow
         raise InputError(f"{path} is not a Rerun recording; give a recording (.rrd) or a run folder")
     written = (head[4], head[5])
     major, minor = (int(part) for part in rr.__version__.split(".")[:2])
@@ -407,7 +396,7 @@ def _serve(*paths: Path, **options: object) -> None:
         _run(*paths, **options)
     except KeyboardInterrupt:
         print("ended: the recording is no longer served", file=sys.stderr)
-        raise SystemExit(BY_CTRL_C) from None
+        raise SystemExit(130) from None  # as shells have it after Ctrl-C
 
 
 def _run(*paths: Path, **options: object) -> None:
@@ -424,14 +413,10 @@ def _run(*paths: Path, **options: object) -> None:
         raise InputError(f"rerun ended with code {code}; what it says is shown by: {shown}")
 
 
-LEAVING = 5.0
-"""Longest time that a viewer may take to end after a request to end, s."""
-
-
 def _end(process: subprocess.Popen[bytes]) -> None:
     """End a program; on POSIX also its process group, because `rerun` is a script that starts the actual program.
 
-    A viewer that takes longer than `LEAVING` to end is killed.
+    A viewer that takes longer than `PATIENCE` to end is killed.
     """
     if sys.platform == "win32":
         process.terminate()
@@ -439,7 +424,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         return
     with suppress(ProcessLookupError, subprocess.TimeoutExpired):
         os.killpg(process.pid, signal.SIGTERM)
-        process.wait(LEAVING)
+        process.wait(PATIENCE)
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()

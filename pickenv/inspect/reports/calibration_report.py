@@ -31,8 +31,6 @@ FURTHER = ("set_ups", "pictures", "uncertainty", "left_out", "terms", "stiffness
 """Keys of the tables that get sections of their own, in the order of the page."""
 OF_MODELS = ("errors", "terms", "residual_models")
 """Keys of the tables whose cells name models; cells of all other tables may name files and joints."""
-MAP_POSES = 6000
-"""Number of random poses behind the map of predicted uncertainty."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -74,11 +72,10 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     """
     train, test = result.train, result.test
     blocks = {block.key: block for block in result.blocks()}
-    further = [Section(blocks[key].title, [_table(blocks[key])]) for key in FURTHER if key in blocks]
     sections = (
         _errors(result, blocks),
         Section("Reprojection errors", view_drawings(views_of(result)), TEXTS["explained"]["reprojection"]),
-        *further,
+        *[Section(blocks[key].title, [_table(blocks[key])]) for key in FURTHER if key in blocks],
         _parameters(result),
         _poses(result, train),
         Section("Evidence", [{row[0]: row[1] for row in blocks["evidence"].rows}]),
@@ -98,14 +95,12 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
 
 
 def _verdict(r: Result, test: Observations) -> PageVerdict:
-    quality, final = r.quality, r.best
+    quality, final, blocks = r.quality, r.best, r.held_out.blocks
     interval = r.held_out.no_interval
     if final.mean_ci95 is not None:
-        between = "" if r.held_out.blocks is None else " between blocks"
+        between = "" if blocks is None else " between blocks"
         interval = f"95 % interval{between} {' to '.join(map(figure, final.mean_ci95))}"
-    which = "that the fit never saw"
-    if r.held_out.blocks is not None:
-        which = "of which no fit saw the block that it is judged on"
+    which = "that the fit never saw" if blocks is None else "of which no fit saw the block that it is judged on"
     tracked = test.poses is not None
     rows, stood = ("measured poses", "the tool stood") if tracked else (r.held_out.rows, "what was read lay")
     sentence = (
@@ -224,11 +219,14 @@ def _poses(r: Result, train: Observations) -> Section:
 
 
 def _uncertainty(r: Result) -> Drawing | None:
-    """Return a map of the uncertainty of predicted positions; None if it is unknown or the calibration has terms."""
+    """Return a map of the uncertainty of predicted positions at 6000 random poses.
+
+    It is None if the uncertainty is unknown or the calibration has terms.
+    """
     model, uncertainty, geometry = r.fit.calibration.model, r.uncertainty, r.fit.identification.geometry
     if not np.isfinite(uncertainty.covariance).all() or model.terms:
         return None
-    joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
+    joints = random_joints(geometry, 6000, np.random.default_rng(0))
     spread = uncertainty.from_parameters(model, joints)
     x, y, height = ((model.pose(joints).position - geometry.base.position) * 1e3).T
     return captioned("uncertainty_map", uncertainty_map, np.hypot(x, y), height, spread * 1e3)

@@ -43,8 +43,7 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
 
     ``result`` is the study's result, as the run folder's `CONDITIONS` has it.
     """
-    methods = result["sweeps"][HELD_OUT]["methods"]
-    figures = {name: by_level[0] for name, by_level in methods.items()}
+    figures = {name: by_level[0] for name, by_level in result["sweeps"][HELD_OUT]["methods"].items()}
     usual = next(name for name in figures if name != "raw")
     best = min(figures, key=lambda name: float(figures[name]["mean_mm"]))
     least = min(

@@ -21,23 +21,13 @@ from pickenv.inspect.colours import TEXTS, between, in_words, named_values, poli
 from pickenv.inspect.figures.plot_errors import field_gain, thinned
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports.report_page import HERE, PageTable, PageVerdict, Section, axis_table, html_of
-from pickenv.inspect.runs.comparison_summary import (
-    Change,
-    change_cells,
-    colour_scale_mm,
-    error_spread,
-    field_mm,
-    gripped,
-    matters,
-    pick_changes,
-    round_step,
-)
+from pickenv.inspect.runs import comparison_summary as summary
+from pickenv.inspect.runs.comparison_summary import Change, gripped
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, eye_direction, load_part, load_result
 from pickenv.inspect.runs.traces import CalibrationTrace
 
 RECORDING = "errors.rrd"
-RECORDING_WORDS = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
 OF_ONE = "All of it is of this one calibration of one arm: intervals are over fruit, and another calibration differs."
 
 NO_INTERVAL = f"no interval: fewer than {LEAST_ROWS} reaches, or all alike"
@@ -45,14 +35,11 @@ NO_INTERVAL = f"no interval: fewer than {LEAST_ROWS} reaches, or all alike"
 REQUIRED_SHARE = 0.95
 """Share of reaches within the tolerance from which a calibration counts as sufficient."""
 
-
-MOST_ARROWS = 3000
-"""Largest number of arrows of an interactive field."""
 EYE_DISTANCE = 2.55
 """Distance of the camera from the middle of a scene, in plotly's unit: the scene's size."""
 
 LOOKS: Mapping[str, Any] = tomllib.loads((HERE / "plotly.toml").read_text("utf-8"))
-"""Plotly's settings for interactive figures: ``colour_bar`` of error fields, and layout of ``poses``."""
+"""Plotly's settings for interactive figures: ``shafts``, ``dots`` and ``colour_bar`` of fields, layout of ``poses``."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -85,7 +72,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         _field(comparison, by_name),
         _poses(comparison, trace, by_name),
         _fit(trace, calibration, by_name),
-        Section("The recording", [shown], RECORDING_WORDS),
+        Section("The recording", [shown], TEXTS["explained"]["recording"]),
     )
     return html_of(
         f"Calibration and picking: {in_words(comparison.plant.name)}",
@@ -133,8 +120,8 @@ def demo_verdict(comparison: Comparison, cases: Mapping[str, Sequence[Change]] |
             f"{-gain.mean():+.2f} mm ({interval})."
         )
     lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
-    changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
-    worth = in_words(" ".join(matters(in_words(name), changes) for name, changes in changed.items()))
+    changed = cases or {comparison.plant.name: summary.pick_changes(lateral[0], lateral[-1])}
+    worth = in_words(" ".join(summary.matters(in_words(name), changes) for name, changes in changed.items()))
     mean = said(after.mean, after.mean_ci95, 2)
     text = (
         f"{removed} {worth}\nWhat remains is {mean} mm in the mean and at most {after.max:.2f} mm. {picked} of "
@@ -153,7 +140,7 @@ def _cases(cases: Mapping[str, Sequence[Change]]) -> Section:
     rows = [
         (f"{in_words(plant)}, {gripper}", *cells)
         for plant, changes in cases.items()
-        for gripper, *cells in map(change_cells, changes)
+        for gripper, *cells in map(summary.change_cells, changes)
     ]
     heads = ("arm, gripper", "fruit seen to, per axis (mm)", "taken, raw (%)", "calibrated (%)", "change (points)")
     caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"
@@ -205,8 +192,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
 def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
     if "error_fields" not in drawn:
         return Section("Where the tool misses", ())
-    hint = "Drag to turn all scenes together, hover over the end of an arrow to read its millimetres."
-    fields = replace(drawn["error_fields"], spec=field_spec(comparison), hint=hint)
+    fields = replace(drawn["error_fields"], spec=field_spec(comparison), hint=TEXTS["hints"]["error_fields"])
     size = f"{len(comparison.grid.points)} positions {comparison.grid.step * 1e3:g} mm apart, tool upright."
     return Section("Where the tool misses", [fields], size)
 
@@ -214,11 +200,11 @@ def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
 def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, Drawing]) -> Section:
     stages = {label: axis_errors(errors) for label, errors in trace.errors.items()}
     caption = "Errors per degree of freedom at the held-out poses, world axes"
-    hint = "Hover to read a pose's millimetres."
+    hint, poses = TEXTS["hints"]["error_per_test_pose"], drawn["error_per_test_pose"]
     parts = (
         axis_table(caption, stages, "{:.3f}".format).spelled(),
         in_words(_floors(comparison, trace)) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
-        replace(drawn["error_per_test_pose"], spec=pose_spec(norms_mm(trace.errors)), hint=hint),
+        replace(poses, spec=pose_spec(norms_mm(trace.errors)), hint=hint),
         (drawn["error_histogram"], drawn["error_against_extension"]),
     )
     size = f"{len(trace.sets['test'])} poses from the whole joint ranges that took no part in the calibration."
@@ -275,8 +261,8 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     Dots are at wanted positions and show numbers on hovering. From each dot a line leads towards the true position,
     drawn longer than true by the factor `field_gain`.
     """
-    rows, spacing = thinned(comparison, MOST_ARROWS)
-    top = colour_scale_mm(comparison)
+    rows, spacing = thinned(comparison, most=3000)
+    top = summary.colour_scale_mm(comparison)
     gain = field_gain(comparison.grid.step, top)
     points = comparison.grid.points[rows]
     scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
@@ -290,7 +276,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
         end["marker"]["showscale"] = i == 1
         data += [shaft | {"scene": scene}, end | {"scene": scene, "name": in_words(policy.label)}]
         layout[scene] = axes
-        mean, *_, largest = error_spread(field_mm(policy))
+        mean, *_, largest = summary.error_spread(summary.field_mm(policy))
         title = f"<b>{escape(in_words(policy.label))}</b><br>×{gain:g}: mean {mean:.2f}, max {largest:.2f} mm"
         layout["annotations"].append({"text": title})
     return {"data": data, "layout": layout}
@@ -307,28 +293,17 @@ def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) ->
     """
     tips, length = points + gain * errors, np.linalg.norm(errors, axis=1) * 1e3
     shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
-    shaft = _coordinates(shafts) | {
-        "type": "scatter3d",
-        "mode": "lines",
-        "hoverinfo": "skip",
-        "line": scale | {"color": _numbers(np.repeat(length, 3)), "width": 4},
-    }
-    end = _coordinates(points) | {
-        "type": "scatter3d",
-        "mode": "markers",
-        "marker": scale | {"color": _numbers(length), "size": 2.6, "colorbar": LOOKS["colour_bar"]},
-        "customdata": np.round(np.column_stack([length, errors * 1e3, points]), 4).tolist(),
-        "hovertemplate": "<b>%{customdata[0]:.3f} mm</b><br>x %{customdata[1]:+.3f}, y %{customdata[2]:+.3f}, "
-        "z %{customdata[3]:+.3f} mm<br>at x %{customdata[4]:.3f}, y %{customdata[5]:.3f}, z %{customdata[6]:.3f} m"
-        "<extra>%{fullData.name}</extra>",
-    }
-    return shaft, end
+    line = scale | {"color": _numbers(np.repeat(length, 3)), "width": 4}
+    marker = scale | {"color": _numbers(length), "size": 2.6, "colorbar": LOOKS["colour_bar"]}
+    hover = np.round(np.column_stack([length, errors * 1e3, points]), 4).tolist()
+    dots = _coordinates(points) | LOOKS["dots"] | {"marker": marker, "customdata": hover}
+    return _coordinates(shafts) | LOOKS["shafts"] | {"line": line}, dots
 
 
 def _axes(points: Array, spacing: float) -> dict[str, Any]:
     """Return Plotly's axes, m, that all scenes share: the range of points ``(N, 3)``, and ``spacing``, m, around it."""
     low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
-    small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 6.0)}
+    small = {"tickfont": {"size": 10}, "dtick": summary.round_step(float((high - low).max()) / 6.0)}
     axes = {
         f"{axis}axis": small | {"title": {"text": f"{axis} (m)", "font": {"size": 11}}, "range": ends}
         for axis, ends in zip("xyz", np.column_stack([low, high]).tolist(), strict=True)

@@ -20,11 +20,10 @@ MEASURES = TEXTS["measures"]
 def drawings(run: Run) -> Drawings:
     """Return the figures of a harvester's run: the arms' work on a tree, fates of fruit, throughput, workspace."""
     trace = load_part(run, HarvestTrace)
-    arms = trace.cloud.shape[1]
     caption = f"From fruit present to fruit collected, over {trace.tree_count} simulated trees."
     trees = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
     return [
-        captioned("gantt", plot_harvest.gantt, trees, arms),
+        captioned("gantt", plot_harvest.gantt, trees, trace.cloud.shape[1]),
         captioned("pick_map", plot_harvest.pick_map, trees),
         Drawing("funnel", caption, lambda: plot_harvest.funnel_bars(trace.funnels)),
         captioned("throughput", plot_harvest.throughput_by_arms, trace.throughput),
@@ -56,8 +55,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     funnels = trace.funnels
     counts = [(stage, *(str(numbers[stage]) for numbers in funnels.values())) for stage in funnels[names[0]]]
     funnel = PageTable("Fruit at each stage, over all trees", ("stage", *funnels), counts)
-    arms = trace.cloud.shape[1]
-    subtitle = f"Simulated; {count_of(arms, 'picking arm')}, {len(names)} strategies on the same trees"
+    subtitle = f"Simulated; {count_of(trace.cloud.shape[1], 'picking arm')}, {len(names)} strategies on the same trees"
     return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), drawings(run))
 
 

@@ -29,8 +29,7 @@ from pickenv.inspect.figures.style import THEME, style
 from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
 PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
-"""Scales of a figure, px per point. At the first scale its text is as large as the page's, at the second it is just
-legible. On smaller screens the figure scrolls."""
+"""Scales of a figure, px per point: its text is as large as the page's, or just legible, below which it scrolls."""
 HERE = Path(__file__).parent / "templates"
 
 
@@ -52,8 +51,7 @@ class PageVerdict:
 
 
 Bar: TypeAlias = tuple[float, float, float]
-"""A bar from zero to a value, with a whisker of two standard deviations, as three numbers: the value, its standard
-deviation, and the limit of the scale, which goes from minus to plus this limit."""
+"""A bar with a whisker of two standard deviations: value, standard deviation, and the limit (±) of the scale."""
 
 
 def bar_place(value: float, limit: float) -> float:
@@ -96,9 +94,8 @@ class PageTable:
 
 
 Part: TypeAlias = "str | PageTable | Drawing | bytes | Section | tuple[Part, ...] | Mapping[str, str] | None"
-"""A part of a section, of one of these kinds: a paragraph; a table; a figure; a picture (WebP); a section that opens on
-demand and is open on paper; a tuple of parts; names with values. The parts of a tuple are side by side where there is
-room. Empty parts are left out."""
+"""A part of a section: paragraph, table, figure, picture (WebP), section that opens on demand (and is open on paper),
+parts side by side where there is room, or names with values. Empty parts are left out."""
 
 
 @dataclass(frozen=True)
@@ -156,22 +153,17 @@ def html_of(
 @cache
 def _template() -> Template:
     environment = Environment(
-        loader=FileSystemLoader(HERE),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
+        loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    environment.globals |= {"library": library, "bar_place": bar_place}
-    environment.globals |= {"largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
-    filters: dict[str, Callable[..., Any]] = {
-        "base64": lambda content: base64.b64encode(content).decode(),
-        "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
-        "kind": lambda part: type(part).__name__,
-        "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
-    }
-    environment.filters |= filters
+    scales = {"largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
+    environment.globals.update(library=library, bar_place=bar_place, **scales)
+    environment.filters.update(
+        base64=lambda content: base64.b64encode(content).decode(),
+        drawn=lambda drawing: inline_svg(drawing.draw(), drawing.name),
+        kind=lambda part: type(part).__name__,
+        source=lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
+    )
     return environment.get_template("page.html")
 
 
@@ -197,8 +189,7 @@ def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
         text = text.replace(colour, f"var(--{variable})")
     text = re.sub(r"\s*\n\s*", "\n", text)
     width, height = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text).groups()  # type: ignore[union-attr]
-    inside = text[text.index(">") + 1 : text.rindex("</svg>")].strip()
-    return Markup(inside), float(width), float(height)
+    return Markup(text[text.index(">") + 1 : text.rindex("</svg>")].strip()), float(width), float(height)
 
 
 @cache
@@ -221,11 +212,10 @@ def plain_report(
         tables: The numbers.
         drawings: Figures. A figure that cannot be drawn is named with the reason.
     """
-    left_out = "; ".join(f"{d.name}: {d.caption}" for d in drawings if d.draw is None)
     sections = (
         Section("Numbers", tables),
         Section("Figures", [d for d in drawings if d.draw is not None]),
-        Section("Left out", [left_out]),
+        Section("Left out", ["; ".join(f"{d.name}: {d.caption}" for d in drawings if d.draw is None)]),
     )
     origin = {"Reproduce": run.command, "Seed": str(run.seed), "Versions": named_values(run.versions)}
     return html_of(title, subtitle, verdict, sections, origin)

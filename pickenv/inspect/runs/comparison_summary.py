@@ -31,13 +31,12 @@ from pickenv.orchard import Gripper, capture_probability, load_gripper, misalign
 
 
 GRIPPERS = ("li_cup", "compliant_hand")
-CURVE_MM = np.linspace(0.0, 40.0, 401)
-"""Lateral misalignments at which the curve of a gripper's success is drawn, mm."""
 
 
 def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, Array]]:
     """Return, for each gripper, lateral misalignments ``(N,)``, mm, and the probability of success at each ``(N,)``."""
-    return {name: (CURVE_MM, capture_probability(load_gripper(name), CURVE_MM * 1e-3, 0.0, 0.0)) for name in names}
+    lateral_mm = np.linspace(0.0, 40.0, 401)
+    return {name: (lateral_mm, capture_probability(load_gripper(name), lateral_mm * 1e-3, 0.0, 0.0)) for name in names}
 
 
 def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]:
@@ -49,7 +48,7 @@ def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]
         For each policy, by label: distances of the fruit from the tool's axis ``(R,)``, mm, and for each gripper the
         probability that it takes the fruit ``(R,)``.
     """
-    grippers: dict[str, Gripper] = {name: load_gripper(name) for name in GRIPPERS}
+    grippers = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
     by_policy = {}
     for policy in comparison.policies:
@@ -65,16 +64,13 @@ PERCEPTION_MM = (0.0, 1.0, 2.0, 3.0, 5.0)
 """Standard deviations per axis of the perceived fruit position, mm, for which picks are computed."""
 MATTERS = 0.05
 """Smallest change in the share of picks that is reported as a change: five of a hundred picks."""
-NONE = 0.005
-"""Change in the share of picks below which the printed shares are equal, or nearly so."""
 RINGS, SPOKES = 24, 24
 """Numbers of distances, equally probable, and of directions at which the perception error is sampled."""
 
 
 Change: TypeAlias = Mapping[str, Any]
-"""The effect of a calibration on the picks of one gripper, as in JSON. ``gripper`` is the gripper's name.
-``perception_mm`` is the standard deviation of the perceived fruit position per axis, mm. ``before`` and ``after`` are
-the shares of fruit taken without and with calibration."""
+"""The effect of a calibration on picks, as in JSON: name of the ``gripper``, standard deviation of the perceived fruit
+position per axis, ``perception_mm``, and shares of fruit taken without and with calibration, ``before``, ``after``."""
 
 
 def _gain(change: Change) -> float:
@@ -150,7 +146,7 @@ def matters(plant: str, changes: Sequence[Change], between: tuple[str, str] = ("
     first = f"On {plant} this changes picks {'; '.join(yes)}."
     sharp = next(c for c in changes if c["gripper"] == best[0]["gripper"] and c["perception_mm"] == PERCEPTION_MM[0])
     if abs(_gain(sharp)) < MATTERS:
-        few = "none" if abs(_gain(sharp)) < NONE else "hardly any"
+        few = "none" if abs(_gain(sharp)) < 0.005 else "hardly any"  # below this, the printed shares hardly differ
         first += f" Were the fruit seen without error, it would change {few} ({both(sharp)})."
     return first + (f" Hardly a pick changes with {' and '.join(no)}." if no else "")
 
@@ -226,9 +222,8 @@ def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]
     attitudes = _finite(after.attitude_error_deg[:, -1] - before.attitude_error_deg[:, -1])
     ends = mean_interval(misses)
     tries = np.concatenate([tries_of(before), tries_of(after)])
-    single = bool((tries == 1).all())
     shares = [_policy_row(policy)["share_picked"] for policy in (before, after)]
-    share_ends = paired_share_interval(after.picked[:, -1] > 0, before.picked[:, -1] > 0) if single else None
+    picks = after.picked[:, -1] > 0, before.picked[:, -1] > 0
     return {
         "from": before.label,
         "to": after.label,
@@ -239,7 +234,7 @@ def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]
         "attitude_deg": _mean(attitudes),
         "attitude_ci95_deg": _ends(mean_interval(attitudes)),
         "share_picked": None if None in shares else shares[1] - shares[0],
-        "share_ci95": _ends(share_ends),
+        "share_ci95": _ends(paired_share_interval(*picks) if (tries == 1).all() else None),
         "nearer": int(np.sum(misses < 0.0)),
     }
 
@@ -250,8 +245,7 @@ def policy_cells(episodes: RecordedEpisodes) -> list[list[str]]:
         [
             row["policy"],
             said(row["mean_mm"], row["ci95_mm"], 3),
-            said(row["median_mm"], None, 3),
-            said(row["p95_mm"], None, 3),
+            *(said(row[name], None, 3) for name in ("median_mm", "p95_mm")),
             said(row["attitude_deg"], row["attitude_ci95_deg"], 3),
             f"{row['picked']} of {row['tried']}",
             said(row["share_picked"], row["share_ci95"], 0, 100.0),
@@ -342,14 +336,13 @@ def explanation(episodes: RecordedEpisodes) -> str:
     by = said(abs(line["difference_mm"]), ends, 3)
     than = "as much as" if _level(line) else f"{by} mm {'less' if line['lead_mm'] >= 0.0 else 'more'} than"
     first = f"{name} misses by {than} {rival} for the same {line['pairs']} fruit"
-    changes = _changes(episodes, rival, name)
-    worth = matters(episodes.plant_name or episodes.env_id, changes, (f"with {rival}", f"with {name}"))
+    changes, between = policy_changes(episodes)["changes"], (f"with {rival}", f"with {name}")
+    worth = matters(episodes.plant_name or episodes.env_id, changes, between)
     return f"{first}. {worth} {_picking(episodes)}."
 
 
 def _picking(episodes: RecordedEpisodes) -> str:
-    rows = policy_rows(episodes)
-    counts = ", ".join(f"{row['picked']} of {row['tried']} with {row['policy']}" for row in rows)
+    counts = ", ".join(f"{row['picked']} of {row['tried']} with {row['policy']}" for row in policy_rows(episodes))
     return f"In these episodes {episodes.gripper}, which forgives {episodes.tolerance_mm:g} mm, picks {counts}"
 
 
@@ -363,13 +356,9 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
     best, rivals = _best(episodes)
     if best is None or not rivals:
         return {}
-    rival = next(iter(rivals))
-    return {"from": rival, "to": best["policy"], "changes": _changes(episodes, rival, best["policy"])}
-
-
-def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[Change]:
+    rival, name = next(iter(rivals)), best["policy"]
     misses = {policy.label: _across(policy) for policy in episodes.policies}
-    return pick_changes(misses[other], misses[best])
+    return {"from": rival, "to": name, "changes": pick_changes(misses[rival], misses[name])}
 
 
 def _across(policy: RecordedPolicy) -> Array:
@@ -401,16 +390,17 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
 
 def comparison_markdown(episodes: RecordedEpisodes) -> str:
     """Return the verdict and the tables of policies and of differences, in Markdown, for the recording."""
-    lines = [f"## {unmarked(outcome_sentence(episodes))}", "", unmarked(explanation(episodes)), ""]
-    lines += _table(HEADS, [list(map(unmarked, row)) for row in policy_cells(episodes)])
+    parts = [f"## {unmarked(outcome_sentence(episodes))}", unmarked(explanation(episodes))]
+    parts.append(_table(HEADS, [list(map(unmarked, row)) for row in policy_cells(episodes)]))
     if differences := [list(map(unmarked, row)) for row in difference_cells(episodes)]:
-        lines += ["", "Fruit by fruit, later minus earlier policy:", "", *_table(DIFFERENCES, differences)]
+        parts += ["Fruit by fruit, later minus earlier policy:", _table(DIFFERENCES, differences)]
     count = count_of(len(episodes.seeds), "episode")
-    return "\n".join([*lines, "", f"{count} of {episodes.env_id}, simulated; {INTERVALS}."])
+    return "\n\n".join([*parts, f"{count} of {episodes.env_id}, simulated; {INTERVALS}."])
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [f"| {' | '.join(cells)} |" for cells in (heads, [":--"] + ["--:"] * (len(heads) - 1), *rows)]
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = (heads, [":--"] + ["--:"] * (len(heads) - 1), *rows)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _finite(values: Array) -> Array:
@@ -435,9 +425,6 @@ GAIN = 20.0
 """Factor by which recordings draw errors longer than true. Figures use it too if the arrows then fit."""
 SCALE_PERCENTILE = 99.0
 """The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
-
-BINS = 24
-"""Approximate number of bins of a histogram of reach errors."""
 
 
 def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
@@ -474,8 +461,7 @@ def colour_scale_mm(comparison: Comparison) -> float:
 def uncertainty_scale_mm(comparison: Comparison) -> float:
     """Return the upper end, mm, of the colour scale for both the predicted uncertainty and the last policy's errors."""
     assert comparison.field_uncertainty is not None
-    lengths = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
-    return scale_end(lengths)
+    return scale_end(np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])]))
 
 
 def scale_end(values: Array) -> float:
@@ -485,10 +471,9 @@ def scale_end(values: Array) -> float:
 
 
 def histogram_edges_mm(comparison: Comparison) -> Array:
-    """Return the edges ``(B + 1,)``, mm, of about `BINS` bins of round width for the reach errors of all policies."""
-    errors = [policy.ends.position_error_mm for policy in comparison.policies]
-    largest = float(np.max(errors, initial=0.0))
-    width = round_step((largest or 1.0) / BINS)
+    """Return the edges ``(B + 1,)``, mm, of about 24 bins of round width for the reach errors of all policies."""
+    largest = float(np.max([policy.ends.position_error_mm for policy in comparison.policies], initial=0.0))
+    width = round_step((largest or 1.0) / 24)
     return np.asarray(width * np.arange(int(largest / width) + 2))
 
 
@@ -512,29 +497,26 @@ def summary_markdown(comparison: Comparison) -> str:
         heads = ["picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
     cells_of = _reach_cells if has_reaches else _field_cells
     rows = [[f"**{unmarked(policy.label)}**", *cells_of(policy)] for policy in comparison.policies]
-    title = f"## {unmarked(in_words(comparison.plant.name))}, seed {comparison.seed}"
-    lines = [title, "", *_table(["policy", *heads], rows)]
     first = unmarked(comparison.policies[0].label)
     reaches = (
         f"{count_of(len(comparison.fruit), 'reach', 'reaches')}, of this one calibration; a pick if the fruit is "
         f"inside the capture region, radius {comparison.tolerance_mm:g} mm. "
     )
-    lines += [
-        "",
+    parts = [
+        f"## {unmarked(in_words(comparison.plant.name))}, seed {comparison.seed}",
+        _table(["policy", *heads], rows),
         f"{reaches if has_reaches else ''}{len(comparison.grid.points)} field points, cells of "
         f"{comparison.grid.step * 1e3:g} mm.{_better(comparison)}",
-        "",
         f"**Arrows**: true minus wanted tool position, drawn ×{GAIN:g}. **Colour**: its length, 0 to {top:.2f} mm in "
         f"every field (p{SCALE_PERCENTILE:g} of {first}; above that the colour saturates).",
     ]
     if has_reaches:
-        lines += [
-            "",
+        parts.append(
             f"**Picking**: wire arm = what the controller believes; solid arm = the true arm with the {first} "
             f"command, difference drawn ×{GAIN:g}; red ball = capture region ×{GAIN:g}: an arrow that ends inside it "
-            "is a pick.",
-        ]
-    return "\n".join(lines)
+            "is a pick."
+        )
+    return "\n\n".join(parts)
 
 
 def _better(comparison: Comparison) -> str:

@@ -216,7 +216,6 @@ class RecordedEpisodes:
 
 UPRIGHT = np.radians(30.0)
 """Largest angle from the vertical of the tool poses that set the extent of a grid, rad."""
-PROBES = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +280,7 @@ def field_grid(nominal: Geometry, step: float, seed: int) -> FieldGrid:
         step: Cell size, m.
         seed: Seed of the random joint values from which the workspace's extent is estimated.
     """
-    probe = forward(nominal, random_joints(nominal, PROBES, np.random.default_rng(seed)))
+    probe = forward(nominal, random_joints(nominal, 4000, np.random.default_rng(seed)))
     upright = probe.rotation[:, 2, 2] > np.cos(UPRIGHT)
     low, high = np.percentile(probe.position[upright], [1, 99], axis=0)
     shape = np.maximum(((high - low) / step).astype(int), 1)
@@ -290,14 +289,7 @@ def field_grid(nominal: Geometry, step: float, seed: int) -> FieldGrid:
     points = origin + index * step
     solution = inverse(nominal, Pose(points, np.eye(3)), restarts=1)
     inside = solution.reached
-    return FieldGrid(
-        shape=tuple(shape.tolist()),
-        origin=origin,
-        step=step,
-        index=index[inside],
-        points=points[inside],
-        joints=solution.joints[inside],
-    )
+    return FieldGrid(tuple(shape.tolist()), origin, step, index[inside], points[inside], solution.joints[inside])
 
 
 POSITIONS = ("tool_position", "fruit_position")

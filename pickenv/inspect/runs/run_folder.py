@@ -95,8 +95,7 @@ def eye_direction(comparison: Comparison) -> Array:
     outward = float(np.arctan2(y, x))
     along_x = width_y > width_x or (width_y == width_x and abs(x) > abs(y))
     normal = float(np.arctan2(0.0, x) if along_x else np.arctan2(y, 0.0))
-    side = 1.0 if np.sin(outward - normal) >= 0.0 else -1.0
-    turn = normal + side * EYE_TURN
+    turn = normal + (EYE_TURN if np.sin(outward - normal) >= 0.0 else -EYE_TURN)
     return np.array([np.cos(turn) * np.cos(EYE_LIFT), np.sin(turn) * np.cos(EYE_LIFT), np.sin(EYE_LIFT)])
 
 
@@ -196,8 +195,7 @@ def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str,
     if "tuple" in packed:
         return tuple(_unpack(item, arrays, classes) for item in packed["tuple"])
     if "mapping" in packed:
-        pairs = packed["mapping"]
-        return {_unpack(key, arrays, classes): _unpack(item, arrays, classes) for key, item in pairs}
+        return {_unpack(key, arrays, classes): _unpack(item, arrays, classes) for key, item in packed["mapping"]}
     return classes[packed["class"]](**{name: _unpack(item, arrays, classes) for name, item in packed["fields"].items()})
 
 
@@ -217,8 +215,7 @@ def _classes(*roots: Any) -> dict[str, Any]:
 
 RECORD = "run.json"
 LIST = "files.json"
-"""Name of the file that lists the files of a folder that is no run itself, but holds several runs, tables and
-calibrations."""
+"""Name of the list of files of a folder that is no run itself, but holds several runs, tables and calibrations."""
 
 PARTS: Mapping[type, str] = {
     Comparison: "comparison.npz",
@@ -280,13 +277,11 @@ def run_kind(name: str, **source: str) -> RunKind:
     Raises:
         InputError: If no kind of that name is registered.
     """
-    kind: RunKind = registry.get("report", name, **source)()
-    return kind
+    return typing.cast("RunKind", registry.get("report", name, **source)())
 
 
 TakePicture: TypeAlias = Callable[[Path], bytes | None]
-"""Function, such as `viewer_picture`, that returns a picture (WebP) of a recording, given the path of the recording. It
-returns None if it cannot make the picture."""
+"""Function, such as `viewer_picture`, from a recording's path to its picture (WebP), or None if it cannot be made."""
 
 
 @dataclass(frozen=True)
@@ -351,8 +346,7 @@ def added_to(run: Run) -> Iterator[None]:
     changed = _changed_since(run.folder, before)
     if run.files is not None and changed:
         latest = read_run(run.folder)  # another command may have added its own since
-        added = replace(latest, files={**(latest.files or {}), **changed})
-        write_text(run.folder / RECORD, _record_text(added))
+        write_text(run.folder / RECORD, _record_text(replace(latest, files={**(latest.files or {}), **changed})))
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
@@ -403,7 +397,8 @@ def read_run(folder: str | Path) -> Run:
         text = record.read_text(encoding="utf-8")
         content = json.loads(text)
         file_format, kind = int(content["format"]), str(content["kind"])
-        others = {str(name): str(version) for name, version in content["versions"].items() if name not in versions()}
+        made_with = {str(name): str(version) for name, version in content["versions"].items()}
+    others = {name: version for name, version in made_with.items() if name not in versions()}
     if kind not in registry.names("report") and others:
         run_kind(kind, package=next(iter(others)), version=next(iter(others.values())))
     if file_format > FORMAT or kind not in registry.names("report"):
@@ -411,7 +406,6 @@ def read_run(folder: str | Path) -> Run:
     if file_format < FORMAT:
         raise InputError(f"{record} was written by an earlier version, without hashes of the run's files; {remake}")
     with refusing_damage(record, "a run's record", remake):
-        made_with = {str(name): str(version) for name, version in content["versions"].items()}
         files = {str(name): str(hashed) for name, hashed in content["files"].items()}
         seed = None if content["seed"] is None else int(content["seed"])
         run = Run(folder, kind, str(content["command"]), seed, made_with, str(content["code"]), files)

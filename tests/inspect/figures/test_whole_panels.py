@@ -326,7 +326,7 @@ def test_cycle_time() -> None:
     best = [least[: k + 1].min() for k in range(50)]
     np.testing.assert_allclose(xy(front), np.stack([0.05 * np.arange(1, 51), best], axis=1))
     assert (to_rgb(front.get_color()), front.get_linewidth(), front.get_zorder()) == (share(GREY), 6, 0)
-    with pytest.raises(InputError, match="no curve to draw"):
+    with pytest.raises(InputError, match="nothing to draw"):
         plot_policies.accuracy_against_cycle_time({}, 0.1)
     long = "a policy with a rather long name that"
     ends = {(long, name): curves["ppo", name] for name in ("raw", "LS")}
