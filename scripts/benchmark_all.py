@@ -1,10 +1,10 @@
-"""All benchmarks in one run, ratios first: environments, training, calibration and studies, with their peers.
+"""All benchmarks in one run, with their ratios: environments, training, calibration and studies, with their peers.
 
 Each part runs in processes of its own, one after the other, so that none slows or warms another. Environments, training
 and calibration are those of benchmark_envs.py and benchmark_calibration.py; studies are measured here: cost per arm as
 the population grows, executors against arms one by one.
 
-Run: python scripts/benchmark_all.py [--json FILE] [--markdown FILE] [--no-peers] [--quick]
+Run: python scripts/benchmark_all.py [--json FILE] [--no-peers] [--quick]
 """
 
 import json
@@ -13,15 +13,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from measuring import JsonFile, NoPeers, figure, in_fresh_process, last_words, machine, machine_words, markdown_table
+from measuring import JsonFile, NoPeers, figure, in_fresh_process, last_words, machine, markdown_table
 
-from pickenv.base import write_json, write_text
+from pickenv.base import write_json
 from pickenv.experiments import load_study, run_study
 
 SCRIPTS = Path(__file__).parent
@@ -92,14 +92,16 @@ def study_ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def run_script(name: str, *arguments: str) -> dict[str, Any]:
-    """The JSON of another benchmark, or a note on why there is none."""
-    print(f"{name} …", file=sys.stderr)
+    """The JSON of another benchmark, which prints its own tables; or a note on why there is none."""
+    print(f"{name} …", file=sys.stderr, flush=True)
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "result.json"
         command = [sys.executable, str(SCRIPTS / name), "--json", str(answer), *arguments]
-        ended = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        ended = subprocess.run(command, stderr=subprocess.PIPE, text=True)
         if ended.returncode or not answer.is_file():
-            return {"note": f"no figures: {last_words(ended.stderr)}", "ratios": {}}
+            note = f"no figures: {last_words(ended.stderr)}"
+            print(f"{name}: {note}")
+            return {"note": note, "ratios": {}}
         return dict(json.loads(answer.read_text(encoding="utf-8")))
 
 
@@ -120,52 +122,32 @@ def gathered(
     }
 
 
-def markdown(result: Mapping[str, Any]) -> str:
-    """The result as Markdown, ratios first."""
-    ratios = [(name, f"{value:.3g}") for name, value in result["ratios"].items()]
-    parts = [machine_words(result["machine"]) + ".", markdown_table(("ratio", "times"), ratios, ("ratio",))]
-    steps = [
-        (name, f"{row['num_envs']:,}", figure(row["steps_per_s"], ",.0f"), row["note"])
-        for name, row in (result["environments"]["envs"] | result["training"]).items()
+def study_table(study: Sequence[Mapping[str, Any]]) -> str:
+    """The studies' costs; a dash stands for what was not measured."""
+    words = ("method", "executor")
+    rows = [
+        [*(str(row[name]) for name in (*words, "workers", "arms")), *(figure(row[key], COSTS[key]) for key in COSTS)]
+        for row in study
     ]
-    if steps:
-        parts.append(markdown_table(("environment", "at once", "steps/s", ""), steps, ("environment", "")))
-    systems = []
-    for name, row in result["calibration"].get("systems", {}).items():
-        figures = [figure(row[key], ".4f") for key in ("seconds", "held_out_rms_mm")]
-        words = name if row["seconds"] is not None else f"{name}: {row['note']}"
-        systems.append([words, str(row.get("poses", "-")), *figures])
-    if systems:
-        heads = ("calibration", "poses", "seconds", "held-out RMS (mm)")
-        parts.append(markdown_table(heads, systems, ("calibration",)))
-    parts += [f"{part}: {result[part]['note']}" for part in ("environments", "calibration") if "note" in result[part]]
-    studies = []
-    for row in result["study"]:
-        costs = [figure(row[key], form) for key, form in COSTS.items()]
-        studies.append([row["method"], row["executor"], str(row["workers"]), f"{row['arms']:,}", *costs])
-    heads = ("method", "executor", "processes", "arms", "seconds", "CPU s", "ms per arm", "peak of a process (MiB)")
-    parts.append(f"Studies: qiao2026, one setting, {FRUIT} fruit; ls with {POSES} calibration poses.")
-    parts.append(markdown_table(heads, studies, ("method", "executor")))
-    return "\n\n".join(parts) + "\n"
+    return markdown_table((*words, "processes", "arms", *(name.replace("_", " ") for name in COSTS)), rows, words)
 
 
 def main(
     json_file: JsonFile = None,
-    markdown_file: Annotated[Path | None, typer.Option("--markdown", help="Write the tables to this file.")] = None,
     no_peers: NoPeers = False,
     quick: Annotated[bool, typer.Option("--quick", help="Short rounds and small populations.")] = False,
 ) -> None:
-    """Run every benchmark and print the tables."""
+    """Run every benchmark, which print their tables, then the studies; print their costs and all ratios."""
     on = machine()
     alone = ["--no-peers"] if no_peers else []
     environments = run_script("benchmark_envs.py", *alone, *(["--quick"] if quick else []))
     calibration = run_script("benchmark_calibration.py", *alone, *(["--runs", "3"] if quick else []))
     result = gathered(environments, calibration, [in_fresh_process(time_case, case) for case in cases(quick)], on)
-    print(markdown(result))
+    print(f"Studies: qiao2026, one setting, {FRUIT} fruit; ls with {POSES} calibration poses.\n")
+    print(study_table(result["study"]), "", sep="\n")
+    print(markdown_table(("ratio", "times"), [(n, f"{v:.3g}") for n, v in result["ratios"].items()], ("ratio",)))
     if json_file is not None:
         print(f"wrote {write_json(json_file, result)}")
-    if markdown_file is not None:
-        print(f"wrote {write_text(markdown_file, markdown(result))}")
 
 
 if __name__ == "__main__":
