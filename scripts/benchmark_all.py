@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,53 +30,46 @@ COSTS = {"seconds": ".1f", "cpu_seconds": ".3g", "ms_per_arm": ".3f", "peak_mib"
 """What is printed of a study, and how."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One study to be timed: qiao2026, one setting, 100 fruit.
-
-    Attributes:
-        method: ``raw`` (forward evaluation alone) or ``ls`` (30 poses of least squares, then compensation).
-        executor: As `pickenv study --executor`.
-        arms: N.
-        workers: Processes.
-    """
-
-    method: str
-    executor: str
-    arms: int
-    workers: int
+Case = tuple[str, str, int, int]
+"""Arguments of `time_case`."""
 
 
 def cases(quick: bool) -> list[Case]:
     """What is timed; every executor on the same population, the batched one also on larger ones."""
     few = 100 if quick else 400
-    compared = [Case("ls", "serial", few, 1), Case("ls", "joblib", few, 2)]
+    compared = [("ls", "serial", few, 1), ("ls", "joblib", few, 2)]
     grown = [100, 1000] if quick else [100, 1000, 10_000]
     forward = [1000, 10_000] if quick else [1000, 10_000, 100_000, 1_000_000]
-    calibrated = [Case("ls", "batched", arms, 2 if arms > 1000 else 1) for arms in grown]
-    return [*compared, *calibrated, *(Case("raw", "batched", arms, 1) for arms in forward)]
+    calibrated = [("ls", "batched", arms, 2 if arms > 1000 else 1) for arms in grown]
+    return [*compared, *calibrated, *(("raw", "batched", arms, 1) for arms in forward)]
 
 
-def time_case(case: Case) -> dict[str, Any]:
-    """Run one study after a tiny one that is not counted, as other benchmarks warm up.
+def time_case(method: str, executor: str, arms: int, workers: int) -> dict[str, Any]:
+    """Run one study of qiao2026, one setting, after a tiny one that is not counted, as other benchmarks warm up.
 
     Seconds are those of the chunks; processor seconds, of this process alone, include reading the rows again.
+
+    Args:
+        method: ``raw`` (forward evaluation alone) or ``ls`` (30 poses of least squares, then compensation).
+        executor: As `pickenv study --executor`.
+        arms: N, each with 100 fruit.
+        workers: Processes.
     """
-    print(f"study: {case.method}, {case.executor}, {case.arms} arms …", file=sys.stderr)
-    study, workers = load_study(SCRIPTS / "tolerance_study.toml"), case.workers
-    sizes: dict[str, Any] = {"arms": case.arms, "chunk": min(1000, -(-case.arms // 4)), "fruit": FRUIT}
-    setting: dict[str, Any] = {"methods": (case.method,), "it_grades": (12,), "payload_kg": (0.0,), "poses": (POSES,)}
+    print(f"study: {method}, {executor}, {arms} arms …", file=sys.stderr)
+    study = load_study(SCRIPTS / "tolerance_study.toml")
+    sizes: dict[str, Any] = {"arms": arms, "chunk": min(1000, -(-arms // 4)), "fruit": FRUIT}
+    setting: dict[str, Any] = {"methods": (method,), "it_grades": (12,), "payload_kg": (0.0,), "poses": (POSES,)}
     config = replace(study, **sizes, **setting, noise=study.noise[:1])
     with tempfile.TemporaryDirectory() as folder:
-        run_study(replace(config, arms=4, chunk=2), Path(folder) / "warm", executor=case.executor, workers=workers)
+        run_study(replace(config, arms=4, chunk=2), Path(folder) / "warm", executor=executor, workers=workers)
         cpu = time.process_time()
-        summary = run_study(config, Path(folder) / "study", executor=case.executor, workers=workers)
+        summary = run_study(config, Path(folder) / "study", executor=executor, workers=workers)
         cpu = time.process_time() - cpu
     kib = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return asdict(case) | {
+    return {"method": method, "executor": executor, "arms": arms, "workers": workers} | {
         "seconds": summary["seconds"],
-        "cpu_seconds": cpu if case.workers == 1 else None,
-        "ms_per_arm": 1e3 * summary["seconds"] / case.arms,
+        "cpu_seconds": cpu if workers == 1 else None,
+        "ms_per_arm": 1e3 * summary["seconds"] / arms,
         "peak_mib": kib / 1024 if sys.platform == "linux" else None,  # elsewhere in other units
     }
 
@@ -142,7 +135,7 @@ def main(
     alone = ["--no-peers"] if no_peers else []
     environments = run_script("benchmark_envs.py", *alone, *(["--quick"] if quick else []))
     calibration = run_script("benchmark_calibration.py", *alone, *(["--runs", "3"] if quick else []))
-    result = gathered(environments, calibration, [in_fresh_process(time_case, case) for case in cases(quick)], on)
+    result = gathered(environments, calibration, [in_fresh_process(time_case, *case) for case in cases(quick)], on)
     print(f"Studies: qiao2026, one setting, {FRUIT} fruit; ls with {POSES} calibration poses.\n")
     print(study_table(result["study"]), "", sep="\n")
     print(markdown_table(("ratio", "times"), [(n, f"{v:.3g}") for n, v in result["ratios"].items()], ("ratio",)))

@@ -239,10 +239,10 @@ def main(
     heads = ("mean error (mm)", *dict.fromkeys(row["judged"] for row in shares))
     print(markdown_table(heads, [(error, *cells) for error, cells in lines.items()], ()))
     if json_file is not None:
-        ci95 = {
-            name: crossed_interval(each) if len(each) > 1 else mean_interval(each[0]) for name, each in ends.items()
-        }
-        reached = [{"arm": name, "mean_mm": each.mean(), "ci95": ci95[name]} for name, each in ends.items()]
+        reached = [
+            {"arm": n, "mean_mm": mm.mean(), "ci95": crossed_interval(mm) if len(mm) > 1 else mean_interval(mm[0])}
+            for n, mm in ends.items()
+        ]
         write_json(json_file, {"seed": seed, "reaches": reached, "picks": shares})
 
 

@@ -235,28 +235,25 @@ def at_stations(plan: Any) -> bool:
 
 
 def judged_sequences(settings: Settings, track: str, robot: str, wanted: Callable[[Any], bool]) -> list[list[Row]]:
-    """The first sequences of an arm in a track, each beside its poses and over all joints."""
-    figures: list[list[Row]] = []
-    for sequence in generated_sequences(track, robot, wanted, settings.sequences):
-        figures.append(judged_sequence(sequence, settings.seed))
-        settings.step(f"{track}, {robot}, sequence {len(figures)}")
-    return figures
+    """The first sequences of an arm in a track of KinHEC, each beside its poses and over all joints.
 
-
-def generated_sequences(track: str, robot: str, wanted: Callable[[Any], bool], count: int) -> list[Any]:
-    """Sequences of an arm as KinHEC generates them; where the tier has too few, it is asked for more repeats."""
+    Where the tier has too few, it is asked for more repeats.
+    """
     try:
         from kinhec import generate_sequence  # type: ignore[import-untyped, unused-ignore]
         from kinhec.plans import build_plan, load_tier  # type: ignore[import-untyped, unused-ignore]
     except ImportError:
         raise InputError("the package kinhec is missing; pip install kinhec") from None
-    tier, chosen = load_tier("small"), []
-    for repeats in (tier["tracks"][track]["repeats"], count):
+    tier, chosen, figures = load_tier("small"), [], []
+    for repeats in (tier["tracks"][track]["repeats"], settings.sequences):
         tier["tracks"][track]["repeats"] = repeats
         chosen = [plan for plan in build_plan(tier, [track])[track] if plan.robot == robot and wanted(plan)]
-        if len(chosen) >= count:
+        if len(chosen) >= settings.sequences:
             break
-    return [generate_sequence(plan) for plan in chosen[:count]]
+    for number, plan in enumerate(chosen[: settings.sequences], start=1):
+        figures.append(judged_sequence(generate_sequence(plan), settings.seed))
+        settings.step(f"{track}, {robot}, sequence {number}")
+    return figures
 
 
 def dh_geometry(robot: Any, **numbers: Any) -> Geometry:

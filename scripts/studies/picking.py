@@ -92,15 +92,9 @@ def orders(rng: np.random.Generator, place: str, order: str, canopies: int, seed
 
 
 def learning(
-    rng: np.random.Generator,
-    training: int,
-    policy: str,
-    place: list[str],
-    canopies: int,
-    steps: int,
-    folder: str,
+    rng: np.random.Generator, training: int, policy: str, place: list[str], canopies: int, steps: int, folder: str,
     seed: int,
-) -> Any:
+) -> Any:  # fmt: skip
     """PPO with steps of the tool beside the script, where it was trained and on a harder rung.
 
     One piece has all places: two processes never train in one folder.

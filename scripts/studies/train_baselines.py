@@ -50,13 +50,8 @@ def calibration_file(out: Path) -> Path:
 
 def judged(name: str, policy: str, out: Path, compensations: tuple[str, ...]) -> list[dict[str, Any]]:
     """One row per compensation, of a folder of trainings or of one policy."""
-    settings = PolicySettings(
-        policies=(policy,),
-        compensations=compensations,
-        feedback=("camera" if name.endswith("camera") else "encoders",),
-        plants=("qiao2026",),
-        grippers=("li_cup",),
-    )
+    feedback = "camera" if name.endswith("camera") else "encoders"
+    settings = PolicySettings((policy,), compensations, (feedback,), plants=("qiao2026",), grippers=("li_cup",))
     rows = run_policies(settings, cache=out / "calibrations", backend="loky")
     results = []
     for row in evaluation_rows(settings, rows):
