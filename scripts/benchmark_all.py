@@ -30,12 +30,11 @@ COSTS = {"seconds": ".1f", "cpu_seconds": ".3g", "ms_per_arm": ".3f", "peak_mib"
 """What is printed of a study, and how."""
 
 
-Case = tuple[str, str, int, int]
-"""Arguments of `time_case`."""
+def cases(quick: bool) -> list[tuple[str, str, int, int]]:
+    """What is timed, as arguments of `time_case`.
 
-
-def cases(quick: bool) -> list[Case]:
-    """What is timed; every executor on the same population, the batched one also on larger ones."""
+    Every executor works on the same population, the batched one also on larger ones.
+    """
     few = 100 if quick else 400
     compared = [("ls", "serial", few, 1), ("ls", "joblib", few, 2)]
     grown = [100, 1000] if quick else [100, 1000, 10_000]

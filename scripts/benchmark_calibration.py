@@ -284,8 +284,8 @@ def main(
         try:
             systems[peer.name] = run_peer(peer, task.first(peer.poses), start.geometry, folder, limit)
         except InputError as error:
-            missing = dict.fromkeys(("seconds", "held_out_rms_mm"))
-            systems[peer.name] = {**missing, "version": peer.version, "note": f"no figures, {error}"}
+            about = {"version": peer.version, "note": f"no figures, {error}"}
+            systems[peer.name] = {"seconds": None, "held_out_rms_mm": None, **about}
     result = {
         "data": {"set": "ur5_wam_jacobi2025", "train": len(task.train), "held_out": HELD_OUT, "split_seed": seed},
         "machine": on,

@@ -179,8 +179,9 @@ def picked(arms: int, seeds: Sequence[int], errors_mm: Sequence[float]) -> dict[
     perfect = picks(env, replace(arms_of(nominal, start, 1.0, 1, seeds[0])[0], geometry=nominal), None, seeds)[None]
     distances = {0.0: {"raw": perfect, "calibrated": perfect}}
     for millimetres in errors_mm:
-        plants = arms_of(nominal, start, millimetres, arms, seeds[0])
-        distances[millimetres] = compared(env, picks, plants, start, seeds)
+        distances[millimetres] = compared(
+            env, picks, arms_of(nominal, start, millimetres, arms, seeds[0]), start, seeds
+        )
     return distances
 
 

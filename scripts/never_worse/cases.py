@@ -6,7 +6,7 @@ A case fits what a user would fit and judges it where the truth is known. Its ro
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -113,10 +113,6 @@ class Row:
     def worse(self) -> bool:
         """Whether the calibrated arm is worse than the drawing."""
         return self.nominal is not None and self.calibrated > self.nominal
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {**asdict(self), "meets": self.meets}
 
 
 @dataclass(frozen=True)
@@ -389,8 +385,7 @@ def few_rows(settings: Settings) -> list[Row]:
             drawn.append(judged_rows(arm, grid.select(order[:count]), grid.select(order[count:])))
             settings.step(f"{count} rows, draw {draw + 1}")
         mean = mean_row(f"UR5, {count} rows, mean of {DRAWS}", drawn, None)
-        limit = min(mean.nominal, mean.plain / 2) if count == 10 else mean.nominal
-        rows.append(replace(mean, at_most=limit))
+        rows.append(replace(mean, at_most=min(mean.nominal, mean.plain / 2) if count == 10 else mean.nominal))
         worst = max(row.calibrated / row.nominal for row in drawn)
         rows.append(Row(mean.subject, "worst draw, part of nominal", worst, unit="", at_most=1.0))
     return rows
@@ -496,12 +491,11 @@ def so101(settings: Settings) -> list[Row]:
             result = delivered(plant.arm, views, choices=Choices(fit=fit))
             arms_judged += judged("", result, plant.arm.nominal, truth, where)
             settings.step(f"fit {fit}, arm {i + 1}")
-        subject, limit = f"SO-101, {settings.arms} arms, fit {fit}", SO101_BEFORE / 2
+        subject = f"SO-101, {settings.arms} arms, fit {fit}"
         calibrated, nominal = np.mean([(row.calibrated, row.nominal) for row in arms_judged], axis=0)
         grades = counts_of([str(row.grade) for row in arms_judged])
-        rows.append(Row(subject, "all joints", calibrated, nominal, grade=grades, at_most=limit))
-        worse = sum(row.worse for row in arms_judged)
-        rows.append(Row(subject, "worse than nominal", worse, unit="arms", at_most=0.0))
+        rows.append(Row(subject, "all joints", calibrated, nominal, grade=grades, at_most=SO101_BEFORE / 2))
+        rows.append(Row(subject, "worse than nominal", sum(row.worse for row in arms_judged), unit="arms", at_most=0.0))
     return rows
 
 
