@@ -178,10 +178,8 @@ def picked(arms: int, seeds: Sequence[int], errors_mm: Sequence[float]) -> dict[
     nominal = replace(nominal, lower=nominal.lower - past, upper=nominal.upper + past)
     perfect = picks(env, replace(arms_of(nominal, start, 1.0, 1, seeds[0])[0], geometry=nominal), None, seeds)[None]
     distances = {0.0: {"raw": perfect, "calibrated": perfect}}
-    for millimetres in errors_mm:
-        distances[millimetres] = compared(
-            env, picks, arms_of(nominal, start, millimetres, arms, seeds[0]), start, seeds
-        )
+    for error_mm in errors_mm:
+        distances[error_mm] = compared(env, picks, arms_of(nominal, start, error_mm, arms, seeds[0]), start, seeds)
     return distances
 
 
