@@ -361,7 +361,6 @@ def _reaches(
         **world,
     )
     reaches, count = rollout.reaches, len(rollout.arm)
-    chances = {f"chance_{name}": rollout.capture(load_gripper(name)) for name in settings.grippers}
     return {
         "policy": np.full(count, policy_name(policy)),
         "learned": np.full(count, bool(kind.files)),
@@ -371,7 +370,7 @@ def _reaches(
         "attitude_deg": reaches.attitude_error_deg,
         "cycle_steps": rollout.cycle_steps(CYCLE_MM),
         "way_mm": rollout.error_mm.T,
-        **chances,
+        **{f"chance_{name}": rollout.capture(load_gripper(name)) for name in settings.grippers},
         **{attribute.name: np.asarray(getattr(reaches, attribute.name)) for attribute in fields(Reaches)},
     }
 

@@ -576,8 +576,7 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
         tables[f"Pick, {plant}"] = heads, cells
     trained = (row for row in board["reach"] if row["trainings"] not in (None, 1))
     if several := [row for row in trained if row["compensation"] == "raw"]:
-        title = "Mean error of each training on raw arms (mm)"
-        tables[title] = pivot(
+        tables["Mean error of each training on raw arms (mm)"] = pivot(
             several, ["policy"], "plant", lambda row: " ".join(f"{mm:.2f}" for mm in row["training_mm"])
         )
     raw = (row for row in board["pick"] if row["compensation"] == "raw")

@@ -92,8 +92,7 @@ def run_study(
     with locked(folder):
         _claim(folder, config, arithmetic)
         inputs = (config.sha256(), arithmetic)
-        units = {"chunk": config.chunks()}
-        experiment = Experiment(_name(config), units, {}, measure, config.seed, inputs)
+        experiment = Experiment(_name(config), {"chunk": config.chunks()}, {}, measure, config.seed, inputs)
         begin = time.perf_counter()
         files = keep(experiment, folder / ROWS, backend=backend, workers=workers, progress=count)
         about = {"executor": executor, "seconds": time.perf_counter() - begin, "chunks_reused": finished[0]}

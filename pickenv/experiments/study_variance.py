@@ -404,8 +404,7 @@ def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
     sums = np.zeros((BLOCKS, size, size))
     for arm, error, *columns in batches(["arm", "error_rms_mm", *varied]):
         x = (np.stack(columns, axis=1) - mean[varies]) / deviation[varies] if columns else np.zeros((len(arm), 0))
-        z = np.column_stack([np.ones(len(arm)), x, x**2, error**2])
-        sums += _products(z, arm % BLOCKS)
+        sums += _products(np.column_stack([np.ones(len(arm)), x, x**2, error**2]), arm % BLOCKS)
     return varied, sums
 
 
