@@ -166,15 +166,10 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
     _, frame = machine.advance(np, at_rest, split_joints(nominal.joints, joints), HELD)
     spread = np.repeat([POSITION_STD, ATTITUDE_STD], 3) if plant.effect("measurement_noise") else np.zeros(6)
     pose = displace_pose(pose_of(frame), rng.normal(size=(count, 6)) * spread)
-    return Measurements(
-        joints,
-        pose.position,
-        pose.rotation,
-        nominal.prismatic,
-        source=f"simulated tracker on plant {plant.name}",
-        conditions=Conditions(payload=state.payload, temperature=rises(plant, state)),
-        frames="known",
-    )
+    source = f"simulated tracker on plant {plant.name}"
+    conditions = Conditions(payload=state.payload, temperature=rises(plant, state))
+    seen = joints, pose.position, pose.rotation, nominal.prismatic
+    return Measurements(*seen, source=source, conditions=conditions, frames="known")
 
 
 Left: TypeAlias = Callable[[Measurements, State], Array]
@@ -298,7 +293,7 @@ def judged_arm(
     """
     if calibration is not None:
         raw = partial(left_by, model=ArmModel.of(plants.arm.nominal))
-        both = {"raw": raw, "this calibration": lambda data, state: calibration.errors(data)}
+        both: dict[str, Left] = {"raw": raw, "this calibration": lambda data, state: calibration.errors(data)}
         return judged_on(plants, both, settings, _stream(settings.seed))
     rng_of_arm, plant = _stream(settings.seed, 1 + arm), plant_at(plants, arm)
     return judged_on(plant, calibrated(plant, settings, rng_of_arm), settings, rng_of_arm)

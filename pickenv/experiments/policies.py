@@ -349,17 +349,11 @@ def _reaches(
     kind, population = kinds[policy], settings.population(plant, seed)
     world = settings.world(plant, seed, feedback)
     noise = float(np.hypot(world["camera_noise_mm"] or settings.camera_noise_mm, world["fruit_noise_mm"]))
-    rollout = agents.roll_out(
-        maker_of((kind.files or (policy,))[training], noise, compensation),
-        settings.arms,
-        settings.episodes,
-        seed,
-        compensators=methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept),
-        sequential=kind.sequential,
-        steps=kind.steps,
-        first=settings.first_arm(plant, seed),
-        **world,
-    )
+    make = maker_of((kind.files or (policy,))[training], noise, compensation)
+    correct = methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept)
+    how: dict[str, Any] = {"compensators": correct, "sequential": kind.sequential, "steps": kind.steps}
+    how |= {"first": settings.first_arm(plant, seed), **world}
+    rollout = agents.roll_out(make, settings.arms, settings.episodes, seed, **how)
     reaches, count = rollout.reaches, len(rollout.arm)
     return {
         "policy": np.full(count, policy_name(policy)),

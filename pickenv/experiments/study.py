@@ -648,14 +648,9 @@ def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Arr
     """
     position_mm = 1e3 * np.ascontiguousarray(position)
     median, p95 = np.percentile(position_mm, [50, 95], axis=1)
-    values = (
-        position_mm.mean(axis=1),
-        np.sqrt(np.mean(position_mm**2, axis=1)),
-        median,
-        p95,
-        position_mm.max(axis=1),
-        np.degrees(np.ascontiguousarray(attitude).mean(axis=1)),
-    )
+    mean, rms = position_mm.mean(axis=1), np.sqrt(np.mean(position_mm**2, axis=1))
+    mean_attitude = np.degrees(np.ascontiguousarray(attitude).mean(axis=1))
+    values = (mean, rms, median, p95, position_mm.max(axis=1), mean_attitude)
     return dict(zip(FIGURES, values, strict=True)) | {"share_within": np.mean(position_mm <= radius_mm, axis=1)}
 
 

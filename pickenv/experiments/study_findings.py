@@ -68,14 +68,9 @@ def gather(folder: str | Path) -> Findings:
     """
     protocol, rows = study.prepared_study(study_of(folder)), read_rows(folder)
     yields = yields_of(rows, protocol.config.share).to_pylist()
-    return Findings(
-        protocol,
-        rows,
-        yields,
-        quantiles_of(rows).to_pylist(),
-        quantiles_of(rows, [study.ERROR], DENSE).to_pylist(),
-        {row["setting"]: _sensitivities(rows, row["setting"]) for row in held(yields, ("method",))},
-    )
+    quantiles, dense = quantiles_of(rows).to_pylist(), quantiles_of(rows, [study.ERROR], DENSE).to_pylist()
+    sensitivities = {row["setting"]: _sensitivities(rows, row["setting"]) for row in held(yields, ("method",))}
+    return Findings(protocol, rows, yields, quantiles, dense, sensitivities)
 
 
 def _sensitivities(rows: Dataset, setting: int) -> list[dict[str, Any]] | str:

@@ -117,26 +117,16 @@ def _name(config: study.StudyConfig) -> str:
 
 def _summary(protocol: study.Protocol, folder: Path, files: Sequence[Path], about: Row) -> dict[str, Any]:
     config, table, rows = protocol.config, table_sha256(folder), ds.dataset([str(file) for file in files])
-    yields = yields_of(rows, config.share).to_pylist()
-    quantiles = quantiles_of(rows).to_pylist()
-    return {
-        "plant": config.plant,
-        "simulated": True,
-        "pickenv": __version__,
-        "arms": config.arms,
-        "settings": len(protocol.settings),
-        "fruit": config.fruit,
-        "seed": config.seed,
-        "radius_mm": config.radius_mm,
-        "share": config.share,
-        **about,
-        "config_sha256": config.sha256(),
-        "table_sha256": table,
-        "yield": yields,
-        "quantiles_mm": [row for row in quantiles if row["quantity"].endswith("_mm")],
-        "quantiles_deg": [row for row in quantiles if row["quantity"].endswith("_deg")],
-        "components": [_components(protocol, protocol.settings[row["setting"]]) for row in held(yields, ("method",))],
-    }
+    yields, quantiles = yields_of(rows, config.share).to_pylist(), quantiles_of(rows).to_pylist()
+    sizes = {"arms": config.arms, "settings": len(protocol.settings), "fruit": config.fruit, "seed": config.seed}
+    by_unit = {f"quantiles_{u}": [row for row in quantiles if row["quantity"].endswith(f"_{u}")] for u in ("mm", "deg")}
+    components = [_components(protocol, protocol.settings[row["setting"]]) for row in held(yields, ("method",))]
+    return (
+        {"plant": config.plant, "simulated": True, "pickenv": __version__, **sizes}
+        | {"radius_mm": config.radius_mm, "share": config.share, **about}
+        | {"config_sha256": config.sha256(), "table_sha256": table}
+        | {"yield": yields, **by_unit, "components": components}
+    )
 
 
 def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, Any]:
@@ -352,10 +342,10 @@ def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
             middle = _middle(rows, name)
             free = name in ("poses", "noise_mm")
             rows = [row for row in rows if row[name] == middle or (free and row["method"] == study.RAW)]
-    by_position: dict[float, list[Row]] = {}
-    for row in rows:
-        by_position.setdefault(row["noise_mm"], []).append(row)
-    attitude = {noise: _middle(some, "noise_deg") for noise, some in by_position.items()}
+    attitude = {
+        noise: _middle([row for row in rows if row["noise_mm"] == noise], "noise_deg")
+        for noise in {row["noise_mm"] for row in rows}
+    }
     return [row for row in rows if row["noise_deg"] == attitude[row["noise_mm"]] or row["method"] == study.RAW]
 
 
