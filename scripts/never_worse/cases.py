@@ -255,14 +255,8 @@ def judged_sequences(settings: Settings, track: str, robot: str, wanted: Callabl
 def dh_geometry(robot: Any, **numbers: Any) -> Geometry:
     """The geometry of an arm of KinHEC, with numbers of its DH table replaced."""
     table = {name: numbers.get(name, getattr(robot, name)) for name in ("a", "d", "alpha", "theta_offset")}
-    return from_standard_dh(
-        tuple(f"J{i + 1}" for i in range(robot.dof)),
-        (False,) * robot.dof,
-        theta=table.pop("theta_offset"),
-        **table,
-        lower=robot.q_min,
-        upper=robot.q_max,
-    )
+    names, ends = tuple(f"J{i + 1}" for i in range(robot.dof)), {"lower": robot.q_min, "upper": robot.q_max}
+    return from_standard_dh(names, (False,) * robot.dof, theta=table.pop("theta_offset"), **table, **ends)
 
 
 def judged_sequence(sequence: Any, seed: int) -> list[Row]:
@@ -277,16 +271,10 @@ def judged_sequence(sequence: Any, seed: int) -> list[Row]:
         for names in (("px", "py", "pz"), ("qx", "qy", "qz", "qw"))
     )
     back = Rotation.from_quat(turn).inv()
-    rows = Measurements(
-        joints=np.array(sequence.robot_table.to_pydict()["q_meas"]),
-        position=-back.apply(board),
-        rotation=back.as_matrix(),
-        prismatic=nominal.prismatic,
-        position_std=float(np.median(config.camera_noise["trans_std_m"])),
-        attitude_std=float(np.median(config.camera_noise["rot_std_rad"])),
-        source=config.sequence_id,
-        std_stated=True,
-    )
+    joints = np.array(sequence.robot_table.to_pydict()["q_meas"])
+    std = (float(np.median(config.camera_noise[name])) for name in ("trans_std_m", "rot_std_rad"))
+    seen = joints, -back.apply(board), back.as_matrix(), nominal.prismatic, *std
+    rows = Measurements(*seen, source=config.sequence_id, std_stated=True)
     arm = Arm(robot.name, robot.source, nominal, None, np.asarray(robot.qd_max, dtype=float))
     where = regions(rows.joints, nominal.lower, nominal.upper, seed)
     near = {name: where[name] for name in ("0.15 rad beside", "all joints")}
