@@ -523,36 +523,39 @@ def outcomes_of(
     return Rows(columns | {"position": position, "attitude": attitude})
 
 
-Judge: TypeAlias = Callable[[Sequence[Setting], Plant, Sequence[Circumstances]], list[Rows]]
-"""Function that judges a batch of arms, each in its own circumstances, and returns their outcomes in each setting."""
+Judge: TypeAlias = Callable[[Protocol, Sequence[Setting], Plant, Sequence[Circumstances]], list[Rows]]
+"""Function that judges a batch of arms of one population, each in its own circumstances, and returns their outcomes in
+each setting, such as `judge_arms` and `pickenv.experiments.study_batched.judge_batch`."""
 
 
-def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
-    """Compute the rows of the chunk of arms with the index ``chunk``, from 0, one arm at a time.
-
-    ``rng`` is not used: random numbers follow from the study's seed and the arms' numbers.
-    """
-
-    def judge(settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]) -> list[Rows]:
-        outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
-        return [joined(parts) for parts in zip(*outcomes, strict=True)]
-
-    with single_threaded():
-        return judged_chunk(protocol, chunk, judge)
+def judge_arms(
+    protocol: Protocol, settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]
+) -> list[Rows]:
+    """Calibrate and judge a batch of arms, one arm at a time; arguments and result are those of `judge_batch`."""
+    outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
+    return [joined(parts) for parts in zip(*outcomes, strict=True)]
 
 
-def judged_chunk(protocol: Protocol, chunk: int, judge: Judge) -> Rows:
+@single_threaded()
+def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None, judge: Judge = judge_arms) -> Rows:
     """Draw the arms of a chunk from each population, judge them, and return their rows.
 
-    There is one row for each arm and setting, sorted by arm and then by setting. The ``chunk`` is an index from 0. The
-    function ``judge`` calibrates and judges the arms of one population; `judge_batch` is such a function.
+    Args:
+        protocol: The study.
+        chunk: Index of the chunk, from 0.
+        rng: Not used: random numbers follow from the study's seed and the arms' numbers.
+        judge: Function that calibrates and judges the arms of one population.
+
+    Returns:
+        One row for each arm and setting, sorted by arm and then by setting.
     """
-    arms, radius_mm, parts = protocol.config.arms_of(chunk), protocol.config.radius_mm, list[dict[str, Any]]()
+    arms, parts = protocol.config.arms_of(chunk), list[dict[str, Any]]()
     around = [protocol.circumstances(arm) for arm in arms]
     for settings in protocol.populations():
         plants = protocol.draw(settings[0], arms)
         of_arms = deviations(protocol.design, plants)
-        parts += [_columns(arms, outcomes, radius_mm) | of_arms for outcomes in judge(settings, plants, around)]
+        outcomes = judge(protocol, settings, plants, around)
+        parts += [_columns(arms, each, protocol.config.radius_mm) | of_arms for each in outcomes]
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     order = np.lexsort((columns["setting"], columns["arm"]))
     return Rows({name: values[order] for name, values in columns.items()})

@@ -78,9 +78,9 @@ def run_study(
     if device != "cpu" and executor != BATCHED:
         raise InputError(f"`device='{device}'` is for one executor; give `executor='{BATCHED}'` with it")
     protocol, backend, arithmetic = study.prepared_study(config), EXECUTORS[executor], "arm by arm"
-    measure: Callable[..., Any] = partial(study.evaluate_chunk, protocol)
+    judge: study.Judge = study.judge_arms
     if executor == BATCHED:
-        measure, arithmetic = _batched(protocol, device), f"batched on {device}"
+        judge, arithmetic = _batched(protocol, device), f"batched on {device}"
         backend = "serial" if device != "cpu" or (workers or 1) == 1 else backend
     finished: list[int] = []
 
@@ -91,7 +91,7 @@ def run_study(
 
     with locked(folder):
         _claim(folder, config, arithmetic)
-        inputs = (config.sha256(), arithmetic)
+        inputs, measure = (config.sha256(), arithmetic), partial(study.evaluate_chunk, protocol, judge=judge)
         experiment = Experiment(_name(config), {"chunk": config.chunks()}, {}, measure, config.seed, inputs)
         begin = time.perf_counter()
         files = keep(experiment, folder / ROWS, backend=backend, workers=workers, progress=count)
@@ -100,14 +100,14 @@ def run_study(
         return write_record(folder / SUMMARY, _summary(protocol, folder, files, about))
 
 
-def _batched(protocol: study.Protocol, device: str) -> Callable[..., Any]:
+def _batched(protocol: study.Protocol, device: str) -> study.Judge:
     learnt = sorted({setting.method for setting in protocol.settings} - {study.RAW, study.LS})
     if learnt:
         raise InputError(f"the batched executor has no {learnt[0]}; give `executor='joblib'`, or leave that method out")
-    from pickenv.experiments.study_batched import check_device, evaluate_batch
+    from pickenv.experiments.study_batched import check_device, judge_batch
 
     check_device(device)
-    return partial(evaluate_batch, protocol, device=device)
+    return partial(judge_batch, device=device)
 
 
 def _name(config: study.StudyConfig) -> str:

@@ -16,7 +16,6 @@ from pickenv.experiments.study import (
     evaluate_arm,
     evaluate_chunk,
     figures,
-    judged_chunk,
     outcomes_of,
     reach_status,
 )
@@ -288,7 +287,7 @@ def test_an_arm_without_a_finite_pose_is_not_judged_and_an_earlier_reason_stays(
     position = np.full((3, config.fruit), 5e-4)
     position[1:, 0] = np.nan
     outcomes = outcomes_of(setting, (OK, OK, "lost"), (4, 4, 4), position, np.zeros_like(position))
-    table = judged_chunk(replace(protocol, settings=(setting,)), 0, lambda *batch: [outcomes]).arrow()
+    table = evaluate_chunk(replace(protocol, settings=(setting,)), 0, judge=lambda *batch: [outcomes]).arrow()
     assert table["status"].to_pylist() == [OK, NOT_FINITE, "lost"]
     np.testing.assert_allclose(table["error_mean_mm"].to_numpy(), [0.5, np.nan, np.nan])
     np.testing.assert_allclose(table["share_within"].to_numpy(), [1.0, np.nan, np.nan])
