@@ -1,10 +1,10 @@
-"""All benchmarks in one run, ratios first: environments, training, calibration and studies, with their peers.
+"""All benchmarks in one run, with their ratios: environments, training, calibration and studies, with their peers.
 
 Each part runs in processes of its own, one after the other, so that none slows or warms another. Environments, training
 and calibration are those of benchmark_envs.py and benchmark_calibration.py; studies are measured here: cost per arm as
 the population grows, executors against arms one by one.
 
-Run: python scripts/benchmark_all.py [--json FILE] [--markdown FILE] [--no-peers] [--quick]
+Run: python scripts/benchmark_all.py [--json FILE] [--no-peers] [--quick]
 """
 
 import json
@@ -13,15 +13,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from measuring import JsonFile, NoPeers, figure, in_fresh_process, last_words, machine, machine_words, markdown_table
+from measuring import JsonFile, NoPeers, figure, in_fresh_process, last_words, machine, markdown_table
 
-from pickenv.base import write_json, write_text
+from pickenv.base import write_json
 from pickenv.experiments import load_study, run_study
 
 SCRIPTS = Path(__file__).parent
@@ -30,53 +30,45 @@ COSTS = {"seconds": ".1f", "cpu_seconds": ".3g", "ms_per_arm": ".3f", "peak_mib"
 """What is printed of a study, and how."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One study to be timed: qiao2026, one setting, 100 fruit.
+def cases(quick: bool) -> list[tuple[str, str, int, int]]:
+    """What is timed, as arguments of `time_case`.
 
-    Attributes:
-        method: ``raw`` (forward evaluation alone) or ``ls`` (30 poses of least squares, then compensation).
-        executor: As `pickenv study --executor`.
-        arms: N.
-        workers: Processes.
+    Every executor works on the same population, the batched one also on larger ones.
     """
-
-    method: str
-    executor: str
-    arms: int
-    workers: int
-
-
-def cases(quick: bool) -> list[Case]:
-    """What is timed; every executor on the same population, the batched one also on larger ones."""
     few = 100 if quick else 400
-    compared = [Case("ls", "serial", few, 1), Case("ls", "joblib", few, 2)]
+    compared = [("ls", "serial", few, 1), ("ls", "joblib", few, 2)]
     grown = [100, 1000] if quick else [100, 1000, 10_000]
     forward = [1000, 10_000] if quick else [1000, 10_000, 100_000, 1_000_000]
-    calibrated = [Case("ls", "batched", arms, 2 if arms > 1000 else 1) for arms in grown]
-    return [*compared, *calibrated, *(Case("raw", "batched", arms, 1) for arms in forward)]
+    calibrated = [("ls", "batched", arms, 2 if arms > 1000 else 1) for arms in grown]
+    return [*compared, *calibrated, *(("raw", "batched", arms, 1) for arms in forward)]
 
 
-def time_case(case: Case) -> dict[str, Any]:
-    """Run one study after a tiny one that is not counted, as other benchmarks warm up.
+def time_case(method: str, executor: str, arms: int, workers: int) -> dict[str, Any]:
+    """Run one study of qiao2026, one setting, after a tiny one that is not counted, as other benchmarks warm up.
 
     Seconds are those of the chunks; processor seconds, of this process alone, include reading the rows again.
+
+    Args:
+        method: ``raw`` (forward evaluation alone) or ``ls`` (30 poses of least squares, then compensation).
+        executor: As `pickenv study --executor`.
+        arms: N, each with 100 fruit.
+        workers: Processes.
     """
-    print(f"study: {case.method}, {case.executor}, {case.arms} arms …", file=sys.stderr)
-    study, workers = load_study(SCRIPTS / "tolerance_study.toml"), case.workers
-    sizes: dict[str, Any] = {"arms": case.arms, "chunk": min(1000, -(-case.arms // 4)), "fruit": FRUIT}
-    setting: dict[str, Any] = {"methods": (case.method,), "it_grades": (12,), "payload_kg": (0.0,), "poses": (POSES,)}
+    print(f"study: {method}, {executor}, {arms} arms …", file=sys.stderr)
+    study = load_study(SCRIPTS / "tolerance_study.toml")
+    sizes: dict[str, Any] = {"arms": arms, "chunk": min(1000, -(-arms // 4)), "fruit": FRUIT}
+    setting: dict[str, Any] = {"methods": (method,), "it_grades": (12,), "payload_kg": (0.0,), "poses": (POSES,)}
     config = replace(study, **sizes, **setting, noise=study.noise[:1])
     with tempfile.TemporaryDirectory() as folder:
-        run_study(replace(config, arms=4, chunk=2), Path(folder) / "warm", executor=case.executor, workers=workers)
+        run_study(replace(config, arms=4, chunk=2), Path(folder) / "warm", executor=executor, workers=workers)
         cpu = time.process_time()
-        summary = run_study(config, Path(folder) / "study", executor=case.executor, workers=workers)
+        summary = run_study(config, Path(folder) / "study", executor=executor, workers=workers)
         cpu = time.process_time() - cpu
     kib = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return asdict(case) | {
+    return {"method": method, "executor": executor, "arms": arms, "workers": workers} | {
         "seconds": summary["seconds"],
-        "cpu_seconds": cpu if case.workers == 1 else None,
-        "ms_per_arm": 1e3 * summary["seconds"] / case.arms,
+        "cpu_seconds": cpu if workers == 1 else None,
+        "ms_per_arm": 1e3 * summary["seconds"] / arms,
         "peak_mib": kib / 1024 if sys.platform == "linux" else None,  # elsewhere in other units
     }
 
@@ -92,14 +84,16 @@ def study_ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def run_script(name: str, *arguments: str) -> dict[str, Any]:
-    """The JSON of another benchmark, or a note on why there is none."""
-    print(f"{name} …", file=sys.stderr)
+    """The JSON of another benchmark, which prints its own tables; or a note on why there is none."""
+    print(f"{name} …", file=sys.stderr, flush=True)
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "result.json"
         command = [sys.executable, str(SCRIPTS / name), "--json", str(answer), *arguments]
-        ended = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        ended = subprocess.run(command, stderr=subprocess.PIPE, text=True)
         if ended.returncode or not answer.is_file():
-            return {"note": f"no figures: {last_words(ended.stderr)}", "ratios": {}}
+            note = f"no figures: {last_words(ended.stderr)}"
+            print(f"{name}: {note}")
+            return {"note": note, "ratios": {}}
         return dict(json.loads(answer.read_text(encoding="utf-8")))
 
 
@@ -120,52 +114,32 @@ def gathered(
     }
 
 
-def markdown(result: Mapping[str, Any]) -> str:
-    """The result as Markdown, ratios first."""
-    ratios = [(name, f"{value:.3g}") for name, value in result["ratios"].items()]
-    parts = [machine_words(result["machine"]) + ".", markdown_table(("ratio", "times"), ratios, ("ratio",))]
-    steps = [
-        (name, f"{row['num_envs']:,}", figure(row["steps_per_s"], ",.0f"), row["note"])
-        for name, row in (result["environments"]["envs"] | result["training"]).items()
+def study_table(study: Sequence[Mapping[str, Any]]) -> str:
+    """The studies' costs; a dash stands for what was not measured."""
+    words = ("method", "executor")
+    rows = [
+        [*(str(row[name]) for name in (*words, "workers", "arms")), *(figure(row[key], COSTS[key]) for key in COSTS)]
+        for row in study
     ]
-    if steps:
-        parts.append(markdown_table(("environment", "at once", "steps/s", ""), steps, ("environment", "")))
-    systems = []
-    for name, row in result["calibration"].get("systems", {}).items():
-        figures = [figure(row[key], ".4f") for key in ("seconds", "held_out_rms_mm")]
-        words = name if row["seconds"] is not None else f"{name}: {row['note']}"
-        systems.append([words, str(row.get("poses", "-")), *figures])
-    if systems:
-        heads = ("calibration", "poses", "seconds", "held-out RMS (mm)")
-        parts.append(markdown_table(heads, systems, ("calibration",)))
-    parts += [f"{part}: {result[part]['note']}" for part in ("environments", "calibration") if "note" in result[part]]
-    studies = []
-    for row in result["study"]:
-        costs = [figure(row[key], form) for key, form in COSTS.items()]
-        studies.append([row["method"], row["executor"], str(row["workers"]), f"{row['arms']:,}", *costs])
-    heads = ("method", "executor", "processes", "arms", "seconds", "CPU s", "ms per arm", "peak of a process (MiB)")
-    parts.append(f"Studies: qiao2026, one setting, {FRUIT} fruit; ls with {POSES} calibration poses.")
-    parts.append(markdown_table(heads, studies, ("method", "executor")))
-    return "\n\n".join(parts) + "\n"
+    return markdown_table((*words, "processes", "arms", *(name.replace("_", " ") for name in COSTS)), rows, words)
 
 
 def main(
     json_file: JsonFile = None,
-    markdown_file: Annotated[Path | None, typer.Option("--markdown", help="Write the tables to this file.")] = None,
     no_peers: NoPeers = False,
     quick: Annotated[bool, typer.Option("--quick", help="Short rounds and small populations.")] = False,
 ) -> None:
-    """Run every benchmark and print the tables."""
+    """Run every benchmark, which print their tables, then the studies; print their costs and all ratios."""
     on = machine()
     alone = ["--no-peers"] if no_peers else []
     environments = run_script("benchmark_envs.py", *alone, *(["--quick"] if quick else []))
     calibration = run_script("benchmark_calibration.py", *alone, *(["--runs", "3"] if quick else []))
-    result = gathered(environments, calibration, [in_fresh_process(time_case, case) for case in cases(quick)], on)
-    print(markdown(result))
+    result = gathered(environments, calibration, [in_fresh_process(time_case, *case) for case in cases(quick)], on)
+    print(f"Studies: qiao2026, one setting, {FRUIT} fruit; ls with {POSES} calibration poses.\n")
+    print(study_table(result["study"]), "", sep="\n")
+    print(markdown_table(("ratio", "times"), [(n, f"{v:.3g}") for n, v in result["ratios"].items()], ("ratio",)))
     if json_file is not None:
         print(f"wrote {write_json(json_file, result)}")
-    if markdown_file is not None:
-        print(f"wrote {write_text(markdown_file, markdown(result))}")
 
 
 if __name__ == "__main__":

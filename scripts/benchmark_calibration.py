@@ -22,19 +22,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
-from measuring import (
-    DATA,
-    ROOT,
-    DataFolder,
-    JsonFile,
-    figure,
-    last_words,
-    machine,
-    machine_words,
-    python_with,
-    refuse,
-    timed,
-)
+from measuring import DATA, ROOT, DataFolder, JsonFile, figure, last_words, machine, python_with, refuse, timed
 from scipy.optimize import least_squares
 
 from pickenv.arm import Array, Geometry, Pose
@@ -163,11 +151,16 @@ def run_peer(peer: Peer, task: PeerTask, start: Geometry, folder: Path, limit: f
     return result | {"version": peer.version, "note": peer.method + (f"; {remark}" if remark else "")}
 
 
-def times(seconds: Array, **parts: Array) -> dict[str, Any]:
-    """Medians by the clock and of the processor, and the best run, of times ``(2, runs)``; of parts by the clock."""
+def row_of(task: PeerTask, geometry: Geometry, about: dict[str, Any], seconds: Array, **parts: Array) -> dict[str, Any]:
+    """The figures of a system that runs in this process, and what there is to say ``about`` it.
+
+    Times ``(2, runs)`` are given by the clock and of the processor; their medians and the best run are taken, of parts
+    by the clock.
+    """
     row = {"seconds": np.median(seconds[0]), "best_seconds": np.min(seconds[0]), "cpu_seconds": np.median(seconds[1])}
     row |= {f"{name}_seconds": np.median(part[0]) for name, part in parts.items()}
-    return {name: float(value) for name, value in row.items()} | {"runs": len(seconds[0])}
+    times = {name: float(value) for name, value in row.items()} | {"runs": len(seconds[0]), "poses": len(task.train)}
+    return times | about | accuracy_on(geometry, task)
 
 
 def run_pickenv(task: PeerTask, runs: int) -> tuple[dict[str, Any], Identification, Identification]:
@@ -175,16 +168,14 @@ def run_pickenv(task: PeerTask, runs: int) -> tuple[dict[str, Any], Identificati
     frames, model = frames_model(task.nominal), complete_model(task.nominal)
     aligned, align_seconds = timed(lambda: align(task.nominal, task.train, frames), runs)
     fitted, solve_seconds = timed(lambda: identify(model, aligned.geometry, task.train), runs)
-    row = {
-        **times(align_seconds + solve_seconds, align=align_seconds, solve=solve_seconds),
-        "poses": len(task.train),
+    about = {
         "parameters": fitted.identifiability.rank,
         "iterations": f"{len(aligned.residual_rms) - 1} + {len(fitted.residual_rms) - 1} iterations",
-        **accuracy_on(fitted.geometry, task),
         "version": versions()["pickenv"],
         "note": "base and tool from nominal, then rank-aware Gauss-Newton with an analytic Jacobian",
     }
-    return row, aligned, fitted
+    parts = {"align": align_seconds, "solve": solve_seconds}
+    return row_of(task, fitted.geometry, about, align_seconds + solve_seconds, **parts), aligned, fitted
 
 
 def run_scipy(task: PeerTask, aligned: Identification, fitted: Identification, runs: int) -> dict[str, Any]:
@@ -203,15 +194,13 @@ def run_scipy(task: PeerTask, aligned: Identification, fitted: Identification, r
     with single_threaded():
         result, seconds = timed(lambda: least_squares(errors, np.zeros(len(columns)), jac="2-point"), runs)
     note = "least_squares, 2-point Jacobian, on pickenv's vectorised kinematics and its identifiable parameters"
-    return {
-        **times(seconds, solve=seconds),
-        "poses": len(task.train),
+    about = {
         "parameters": len(columns),
         "iterations": f"{result.nfev} evaluations with {result.njev} finite-difference Jacobians",
-        **accuracy_on(moved(result.x), task),
         "version": versions("scipy")["scipy"],
         "note": note + ("" if result.status > 0 else "; not converged"),
     }
+    return row_of(task, moved(result.x), about, seconds, solve=seconds)
 
 
 def ratios_of(systems: dict[str, dict[str, Any]]) -> dict[str, float]:
@@ -261,6 +250,13 @@ def print_result(result: dict[str, Any]) -> None:
     print("\n".join([*lines, machine_words(result["machine"])]))
 
 
+def machine_words(on: dict[str, Any]) -> str:
+    """The machine in a line."""
+    load = "unknown" if on["load_before"] is None else f"{on['load_before']:.1f}"
+    versions = f"Python {on['python']}, NumPy {on['numpy']}, SciPy {on['scipy']}"
+    return f"{on['cores']} cores of {on['cpu']}, load {load} before, {versions}"
+
+
 def main(
     json_file: JsonFile = None,
     peers: Annotated[bool, typer.Option("--peers/--no-peers", help="Install and run the peers too.")] = True,
@@ -288,8 +284,8 @@ def main(
         try:
             systems[peer.name] = run_peer(peer, task.first(peer.poses), start.geometry, folder, limit)
         except InputError as error:
-            missing = dict.fromkeys(("seconds", "held_out_rms_mm"))
-            systems[peer.name] = {**missing, "version": peer.version, "note": f"no figures, {error}"}
+            about = {"version": peer.version, "note": f"no figures, {error}"}
+            systems[peer.name] = {"seconds": None, "held_out_rms_mm": None, **about}
     result = {
         "data": {"set": "ur5_wam_jacobi2025", "train": len(task.train), "held_out": HELD_OUT, "split_seed": seed},
         "machine": on,

@@ -112,7 +112,6 @@ def torch_vector(count: int, seconds: float, device: str, dtype: str, compiled: 
             torch.cuda.synchronize()
         return count
 
-    step()
     return rate(step, seconds, clock=time.perf_counter)
 
 
@@ -155,16 +154,14 @@ def compensation(count: int, seconds: float) -> dict[str, dict[str, float]]:
     for name, compensator in compensators().items():
         env: Any = gym.make(REACH, max_episode_steps=-1).unwrapped
         action, actions = (rng.uniform(-1, 1, size).astype(np.float32) for size in (6, (count, 6)))
+        vectors: Any = [gym.make_vec(REACH, count, max_episode_steps=None, executor=name) for name in EXECUTORS]
+        for each in (env, *(envs.unwrapped for envs in vectors)):
+            each.compensator = compensator
+            each.reset(seed=0)
+            each.step(action if each is env else actions)  # what is compiled is compiled
         single[name] = lambda env=env, action=action: [env.step(action) for _ in range(20)]
-        made = {None: env}
-        for executor in EXECUTORS:
-            envs: Any = gym.make_vec(REACH, num_envs=count, max_episode_steps=None, executor=executor).unwrapped
-            made[executor] = envs
-            many[f"{name} {executor}"] = lambda envs=envs, actions=actions: envs.step(actions)
-        for one in made.values():
-            one.compensator = compensator
-            one.reset(seed=0)
-            one.step(action if one is env else actions)  # what is compiled is compiled
+        for executor, envs in zip(EXECUTORS, vectors, strict=True):
+            many[f"{name} {executor}"] = lambda envs=envs.unwrapped, actions=actions: envs.step(actions)
     alone, all_ = (fastest(steps, seconds, time.process_time) for steps in (single, many))
     return {
         name: {
@@ -218,14 +215,13 @@ def training(count: int, seconds: float) -> tuple[float, float]:
 def peers(folder: Path, seconds: float, *words: str) -> dict[str, dict[str, Any]]:
     """FetchReach and PandaReach in an environment of packages of their own, made on demand; words go to `run_envs`."""
     try:
-        python = python_with(folder, *PEER_PACKAGES)
         worker = Path(__file__).parent / "peers" / "run_envs.py"
-        command = [python, worker, str(seconds), *words]
+        command = [python_with(folder, *PEER_PACKAGES), worker, str(seconds), *words]
         ended = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600)
         return dict(json.loads(ended.stdout.strip().splitlines()[-1]))
     except (subprocess.SubprocessError, OSError, InputError) as error:
-        unknown = {"steps_per_s": None, "frames_per_s": None, "note": f"cannot be run: {error}"}
-        return {name: dict(unknown) for name in WHAT}
+        note = f"cannot be run: {error}"
+        return {name: {"steps_per_s": None, "frames_per_s": None, "note": note} for name in WHAT}
 
 
 def main(

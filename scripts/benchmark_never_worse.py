@@ -11,6 +11,7 @@ Run: python scripts/benchmark_never_worse.py [--only CASE] [--json FILE] [--data
 
 import sys
 import time
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -60,7 +61,7 @@ def main(
         except InputError as error:
             refuse(f"{name}: {error}")
         seconds = time.perf_counter() - begin
-        figures[name] = {"seconds": seconds, "rows": [row.as_dict() for row in rows]}
+        figures[name] = {"seconds": seconds, "rows": [asdict(row) | {"meets": row.meets} for row in rows]}
         table = markdown_table(("fitted", "judged", *FIGURES, *WORDS), map(cells, rows), ("fitted", "judged", *WORDS))
         print(f"{name}, {seconds:.1f} s\n\n{table}\n", flush=True)
     if json_file is not None:

@@ -22,9 +22,6 @@ from pickenv.base import write_json
 from pickenv.commands.showing import print_table
 from pickenv.pictures.drawers import PLAIN, drawer_name
 
-Rates = Sequence[float]
-"""Frames per second of processor time, and per second."""
-
 
 def measured(seconds: float) -> dict[str, Any]:
     """All environments with the drawer that this process takes."""
@@ -33,8 +30,8 @@ def measured(seconds: float) -> dict[str, Any]:
     return {"drawer": drawer_name(), "rates": rates}
 
 
-def said(rates: Rates | None) -> list[str]:
-    """Both rates as they are printed."""
+def said(rates: Sequence[float] | None) -> list[str]:
+    """Frames per second of processor time, and per second, as they are printed."""
     return [figure(rate, ".0f") for rate in rates or (None, None)]
 
 

@@ -21,6 +21,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -38,20 +39,6 @@ DOCS = ROOT / "docs"
 LEDGER, RECORD, PAGE = DOCS / "claims.toml", DOCS / "_static/claims.json", DOCS / "claims.md"
 DUE = 0.834
 """Share that is due: two numbers differ by sqrt(2) of what one varies by."""
-
-HOW = (
-    "Each is made again with other arms, fruit and looks, often with fewer. It holds where both lie no farther apart "
-    "than the root mean square of their intervals' half widths. Numbers of one page share arms, and so hold or miss "
-    "together. Measured rows are the same each time: only splits and networks are drawn anew."
-)
-WHERE = (
-    "Draw ten more with `make claims`, or others with "
-    '`make claims ARGS="--only findings_constants --count 3 --seed 7"`. Ctrl-C keeps what was made, and the same seed '
-    "goes on from there. Numbers beside other packages are not drawn. "
-    "[claims.json](_static/claims.json) has every number, and each that was made again, with its seed. "
-    "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made, over what it "
-    "varies and on what it depends."
-)
 
 MARK = re.compile(r"(<!-- claims: (\{[^\n]*\}) -->\n\n)(?:(?!<!--).)*?(\n?<!-- end of claims -->)", re.S)
 END = "\n<!-- end of claims -->"
@@ -378,19 +365,8 @@ def page_of(kept: Mapping[str, Sequence[Row]], known: Mapping[str, Row]) -> str:
         again = [row for row in kept["again"] if row["claim"].startswith(f"{name}: ")]
         page = f"[{entry['page'].removesuffix('.md')}]({entry['page']})"
         lines.append(f"| {page} | `{name}` | {len(numbers)} | {len(again)} | {sum(row['held'] for row in again)} |")
-    table = "\n".join(lines)
-    return f"""# Do the numbers hold?
-
-This page draws numbers from the pages of this site, makes them again, and says how many held.
-
-**{sentence(kept["again"], known)}**
-
-{HOW}
-
-{table}
-
-{WHERE}
-"""
+    text = Path(__file__).with_name("claims_page.md.template").read_text(encoding="utf-8")
+    return Template(text).substitute(sentence=sentence(kept["again"], known), table="\n".join(lines))
 
 
 if __name__ == "__main__":

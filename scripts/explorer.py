@@ -53,17 +53,13 @@ def field(plant: Plant, joints: Array) -> dict[str, Any]:
         stages[policy_label(method)] = pose_error(wanted, plant.tool_pose(sent))[:, :3]
     lengths = {label: 1e3 * np.linalg.norm(error, axis=1) for label, error in stages.items()}
     top = scale_end(lengths["raw"])
-    return {
-        "plant": plant.name,
-        "arm": plant.arm.name,
-        "scale_mm": round(top, 3),
-        "gain": field_gain(SMALL.get(plant.arm.name, STEP), top),
-        "stages": [
-            {"label": label, "mean_mm": round(mean, 3), "largest_mm": round(most, 3), "errors_um": whole(1e6 * error)}
-            for label, error in stages.items()
-            for mean, *_, most in [error_spread(lengths[label])]
-        ],
-    }
+    fields = [
+        {"label": label, "mean_mm": round(mean, 3), "largest_mm": round(most, 3), "errors_um": whole(1e6 * error)}
+        for label, error in stages.items()
+        for mean, *_, most in [error_spread(lengths[label])]
+    ]
+    scale = {"scale_mm": round(top, 3), "gain": field_gain(SMALL.get(plant.arm.name, STEP), top)}
+    return {"plant": plant.name, "arm": plant.arm.name, **scale, "stages": fields}
 
 
 def whole(values: Array) -> Any:

@@ -178,9 +178,8 @@ def picked(arms: int, seeds: Sequence[int], errors_mm: Sequence[float]) -> dict[
     nominal = replace(nominal, lower=nominal.lower - past, upper=nominal.upper + past)
     perfect = picks(env, replace(arms_of(nominal, start, 1.0, 1, seeds[0])[0], geometry=nominal), None, seeds)[None]
     distances = {0.0: {"raw": perfect, "calibrated": perfect}}
-    for millimetres in errors_mm:
-        plants = arms_of(nominal, start, millimetres, arms, seeds[0])
-        distances[millimetres] = compared(env, picks, plants, start, seeds)
+    for error_mm in errors_mm:
+        distances[error_mm] = compared(env, picks, arms_of(nominal, start, error_mm, arms, seeds[0]), start, seeds)
     return distances
 
 
@@ -239,10 +238,10 @@ def main(
     heads = ("mean error (mm)", *dict.fromkeys(row["judged"] for row in shares))
     print(markdown_table(heads, [(error, *cells) for error, cells in lines.items()], ()))
     if json_file is not None:
-        ci95 = {
-            name: crossed_interval(each) if len(each) > 1 else mean_interval(each[0]) for name, each in ends.items()
-        }
-        reached = [{"arm": name, "mean_mm": each.mean(), "ci95": ci95[name]} for name, each in ends.items()]
+        reached = [
+            {"arm": n, "mean_mm": mm.mean(), "ci95": crossed_interval(mm) if len(mm) > 1 else mean_interval(mm[0])}
+            for n, mm in ends.items()
+        ]
         write_json(json_file, {"seed": seed, "reaches": reached, "picks": shares})
 
 

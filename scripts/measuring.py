@@ -90,13 +90,6 @@ def machine() -> dict[str, Any]:
     }
 
 
-def machine_words(on: Mapping[str, Any]) -> str:
-    """The machine in a line."""
-    load = "unknown" if on["load_before"] is None else f"{on['load_before']:.1f}"
-    versions = f"Python {on['python']}, NumPy {on['numpy']}, SciPy {on['scipy']}"
-    return f"{on['cores']} cores of {on['cpu']}, load {load} before, {versions}"
-
-
 def refuse(sentence: str) -> NoReturn:
     """Say what is wrong, and end with exit code 2."""
     print(sentence, file=sys.stderr)

@@ -140,7 +140,8 @@ def test_what_a_network_removes_is_of_the_rms_and_of_another_pair_of_blocks_of_e
         return {"LS": squares * arms**2, "LS + BPNN": squares * (0.1 * arms**2) ** 2}, None
 
     monkeypatch.setattr("pickenv.experiments.gains.left_by_models", left)
-    (gain,) = blocked_gains({SMOOTH.name: np.random.SeedSequence(1)}, joints, arms=7)
+    monkeypatch.setattr("pickenv.experiments.gains.ARMS", 7)
+    (gain,) = blocked_gains({SMOOTH.name: np.random.SeedSequence(1)}, joints)
     one = 1e3 * np.sqrt(np.mean(np.sum((1e-4 * np.sin(np.arange(60.0).reshape(-1, 6)[:, :3])) ** 2, axis=1)))
     assert (gain.arm, gain.ls_mm) == (SMOOTH.name, pytest.approx(one * 4.0))
     assert (gain.removed, gain.lowest, gain.highest) == pytest.approx((0.6, 0.3, 0.9))

@@ -96,8 +96,11 @@ class State:
 
     @staticmethod
     def same(count: int, **known: float) -> State:
-        """Return conditions at ``count`` poses: the reference (all 0), except for the attributes set by ``known``."""
-        return State(*(np.full(count, known.get(name, 0.0)) for name in ("payload", "weather", "hour")))
+        """Return conditions at ``count`` poses: the reference (all 0), except for ``known`` ones.
+
+        They are "payload" in kg, "temperature" (the day's deviation) in K and "hour" in h.
+        """
+        return State(*(np.full(count, known.get(name, 0.0)) for name in ("payload", "temperature", "hour")))
 
     @staticmethod
     def drawn(settings: ConditionsSettings, rng: np.random.Generator) -> State:
@@ -163,15 +166,10 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
     _, frame = machine.advance(np, at_rest, split_joints(nominal.joints, joints), HELD)
     spread = np.repeat([POSITION_STD, ATTITUDE_STD], 3) if plant.effect("measurement_noise") else np.zeros(6)
     pose = displace_pose(pose_of(frame), rng.normal(size=(count, 6)) * spread)
-    return Measurements(
-        joints,
-        pose.position,
-        pose.rotation,
-        nominal.prismatic,
-        source=f"simulated tracker on plant {plant.name}",
-        conditions=Conditions(payload=state.payload, temperature=rises(plant, state)),
-        frames="known",
-    )
+    source = f"simulated tracker on plant {plant.name}"
+    conditions = Conditions(payload=state.payload, temperature=rises(plant, state))
+    seen = joints, pose.position, pose.rotation, nominal.prismatic
+    return Measurements(*seen, source=source, conditions=conditions, frames="known")
 
 
 Left: TypeAlias = Callable[[Measurements, State], Array]
@@ -217,23 +215,21 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
     terms = tuple(plain_term(name, arm, varied) for name in ("gravity", "thermal"))
     knowing = identify_terms(terms, bare, varied, known=True).arm_model
 
-    def learnt(believed: ArmModel, data: Measurements, inputs: Array | None = None) -> LearntResidual:
-        errors = data.difference(believed)
-        return fit_residual(settings.residual, data.joints, errors, data.prismatic, rng, conditions=inputs)
+    def learning(model: ArmModel, data: Measurements, inputs: Array | None = None) -> Left:
+        """Return what is left by a model with a residual that is learnt from measurements, with or without inputs."""
+        errors = data.difference(model)
+        learnt = fit_residual(settings.residual, data.joints, errors, data.prismatic, rng, conditions=inputs)
+        return partial(left_by, model=model, learnt=learnt, inputs=inputs is not None)
 
     inputs = told(varied, apart)
     learner = "network" if settings.residual in NETWORKS else in_words(settings.residual)
     return {
         "raw": partial(left_by, model=ArmModel.of(nominal)),
-        REFERENCE: partial(left_by, model=cold.arm_model, learnt=learnt(cold.arm_model, usual)),
-        BLIND: partial(left_by, model=bare.arm_model, learnt=learnt(bare.arm_model, varied)),
-        TOLD.replace("network", learner): partial(
-            left_by, model=bare.arm_model, learnt=learnt(bare.arm_model, varied, inputs), inputs=True
-        ),
+        REFERENCE: learning(cold.arm_model, usual),
+        BLIND: learning(bare.arm_model, varied),
+        TOLD.replace("network", learner): learning(bare.arm_model, varied, inputs),
         TERMS: partial(left_by, model=knowing),
-        BOTH.replace("network", learner): partial(
-            left_by, model=knowing, learnt=learnt(knowing, varied, inputs), inputs=True
-        ),
+        BOTH.replace("network", learner): learning(knowing, varied, inputs),
     }
 
 
@@ -242,17 +238,9 @@ def levels_of(settings: ConditionsSettings) -> dict[str, Array]:
 
     The units are kg, K above the usual temperature, and h. A condition whose range is a single value is left out.
     """
-    ends = {"payload": (0.0, settings.payload), "temperature": (-settings.weather, settings.weather)}
-    ends["hour"] = (0.0, settings.hours)
+    weather = settings.weather
+    ends = {"payload": (0.0, settings.payload), "temperature": (-weather, weather), "hour": (0.0, settings.hours)}
     return {name: np.linspace(low, high, LEVELS) for name, (low, high) in ends.items() if high > low}
-
-
-def state_at(condition: str, level: float, count: int) -> State:
-    """Return the reference conditions at ``count`` poses, with one condition set to ``level``.
-
-    The ``condition`` is "payload" (``level`` in kg), "temperature" (the day's deviation, K) or "hour" (h).
-    """
-    return State.same(count, **{"weather" if condition == "temperature" else condition: level})
 
 
 def judged_on(
@@ -273,8 +261,11 @@ def judged_on(
         One row for each sweep, value of its condition, method and pose, with "error_mm". "level" is the index of the
         value, from 0.
     """
-    levels, count = levels_of(settings), 2 * settings.poses
-    states = [(name, k, state_at(name, level, count)) for name in levels for k, level in enumerate(levels[name])]
+    states = [
+        (name, number, State.same(2 * settings.poses, **{name: level}))
+        for name, levels in levels_of(settings).items()
+        for number, level in enumerate(levels)
+    ]
     parts = []
     for sweep, level, state in [*states, (HELD_OUT, 0, None)]:
         state = state or State.drawn(settings, rng)
@@ -301,8 +292,8 @@ def judged_arm(
         calibration: If given, only this calibration and the raw arm are judged.
     """
     if calibration is not None:
-        both: dict[str, Left] = {"raw": partial(left_by, model=ArmModel.of(plants.arm.nominal))}
-        both["this calibration"] = lambda data, state: calibration.errors(data)
+        raw = partial(left_by, model=ArmModel.of(plants.arm.nominal))
+        both: dict[str, Left] = {"raw": raw, "this calibration": lambda data, state: calibration.errors(data)}
         return judged_on(plants, both, settings, _stream(settings.seed))
     rng_of_arm, plant = _stream(settings.seed, 1 + arm), plant_at(plants, arm)
     return judged_on(plant, calibrated(plant, settings, rng_of_arm), settings, rng_of_arm)
@@ -353,11 +344,10 @@ def conditions_study(
         by_level.append({"mean_mm": mean.value, "ci95_mm": mean.ci95})
     few = f"none: {arms} of at least {LEAST} arms"
     asked = asdict(settings)
-    ranges = {name: asked.pop(name) for name in RANGES}
     return {
         "plant": plant.name,
         "simulated": True,
-        "settings": {"ranges": ranges, **asked},
+        "settings": {"ranges": {name: asked.pop(name) for name in RANGES}, **asked},
         "growth": "the plant's own" if plant.effect("thermal_growth") else "as in the tolerance class medium",
         "interval_over": "arms" if calibration is None else "poses of one arm",
         "no_interval": few if calibration is None and arms < LEAST else "",

@@ -193,10 +193,9 @@ class ExperimentFile:
             try:
                 some = rows.where(**levels)
                 asked = (number.value, number.by, number.over, of, number.against, number.least, number.lost)
-                if number.draws is None:
-                    made_of = estimate(some.columns, *asked)
-                else:
-                    made_of = estimate(some.where(**{number.draws: 0}).columns, *asked)
+                shipped = some if number.draws is None else some.where(**{number.draws: 0})
+                made_of = estimate(shipped.columns, *asked)
+                if number.draws is not None:
                     _widen(made_of, some, number.draws, asked)
             except KeyError as error:
                 columns = listed(rows.columns)
@@ -263,15 +262,14 @@ def load_experiment(
     if twice := [name for name in parts["units"] if name in parts["factors"] or name in parts["settings"]]:
         raise InputError(f"{path}: '{twice[0]}' is a unit and something else as well; give one of them another name")
     for number in keys.estimate:
-        if taken_names := [name for name in number.by if name in RESERVED]:
-            name = taken_names[0]
+        if reserved := [name for name in number.by if name in RESERVED]:
             raise InputError(
-                f"{path}: '{name}' in by of '{number.title}' is what results are called; rename the column"
+                f"{path}: '{reserved[0]}' in by of '{number.title}' is what results are called; rename the column"
             )
         for key in ("across", "x", "panels"):
-            if getattr(number, key) not in (None, *number.by):
-                column, names = getattr(number, key), listed(number.by)
-                raise InputError(f"{path}: {key} of '{number.title}' is '{column}'; give one of its by: {names}")
+            if (column := getattr(number, key)) not in (None, *number.by):
+                by = listed(number.by)
+                raise InputError(f"{path}: {key} of '{number.title}' is '{column}'; give one of its by: {by}")
         for key in ("x", "panels", "log"):
             if getattr(number, key) and number.figure is None:
                 raise InputError(f"{path}: {key} of '{number.title}' is of its figure; give figure a name with it")

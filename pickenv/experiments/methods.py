@@ -89,18 +89,11 @@ def calibrate_arm(plant: Plant, method: str, plan: CalibrationPlan | None = None
         raise InputError("compensation raw calibrates nothing; give ls, ls_bpnn, best, or ls+ and a residual model")
     plan = plan or CalibrationPlan()
     poses, learning = (np.random.default_rng(part) for part in stream(plan.seed, "calibration", number).spawn(2))
-    counts = (plan.identification_poses, plan.residual_poses)
-    first, second = random_sets(plant, counts, poses, plan.instrument)
+    first, second = random_sets(plant, (plan.identification_poses, plan.residual_poses), poses, plan.instrument)
     residual = residual_of(method)
-    return fit(
-        plant.arm,
-        first,
-        second if residual else None,
-        known_frames=True,
-        residual=residual or "bpnn",
-        rng=learning,
-        settings=BpnnSettings(epochs=plan.epochs) if residual == "bpnn" else None,
-    ).calibration
+    settings = BpnnSettings(epochs=plan.epochs) if residual == "bpnn" else None
+    how: dict[str, Any] = {"known_frames": True, "residual": residual or "bpnn", "rng": learning, "settings": settings}
+    return fit(plant.arm, first, second if residual else None, **how).calibration
 
 
 def residual_of(method: str) -> str | None:

@@ -349,19 +349,12 @@ def _reaches(
     kind, population = kinds[policy], settings.population(plant, seed)
     world = settings.world(plant, seed, feedback)
     noise = float(np.hypot(world["camera_noise_mm"] or settings.camera_noise_mm, world["fruit_noise_mm"]))
-    rollout = agents.roll_out(
-        maker_of((kind.files or (policy,))[training], noise, compensation),
-        settings.arms,
-        settings.episodes,
-        seed,
-        compensators=methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept),
-        sequential=kind.sequential,
-        steps=kind.steps,
-        first=settings.first_arm(plant, seed),
-        **world,
-    )
+    make = maker_of((kind.files or (policy,))[training], noise, compensation)
+    correct = methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept)
+    how: dict[str, Any] = {"compensators": correct, "sequential": kind.sequential, "steps": kind.steps}
+    how |= {"first": settings.first_arm(plant, seed), **world}
+    rollout = agents.roll_out(make, settings.arms, settings.episodes, seed, **how)
     reaches, count = rollout.reaches, len(rollout.arm)
-    chances = {f"chance_{name}": rollout.capture(load_gripper(name)) for name in settings.grippers}
     return {
         "policy": np.full(count, policy_name(policy)),
         "learned": np.full(count, bool(kind.files)),
@@ -371,7 +364,7 @@ def _reaches(
         "attitude_deg": reaches.attitude_error_deg,
         "cycle_steps": rollout.cycle_steps(CYCLE_MM),
         "way_mm": rollout.error_mm.T,
-        **chances,
+        **{f"chance_{name}": rollout.capture(load_gripper(name)) for name in settings.grippers},
         **{attribute.name: np.asarray(getattr(reaches, attribute.name)) for attribute in fields(Reaches)},
     }
 

@@ -68,9 +68,9 @@ def estimates(rows: Rows, value: str, of: str | float = "mean", by: Sequence[str
     return {tuple(line[name] for name in by): line["estimate"] for line in lines}
 
 
-def cell_of(rows: Rows, key: Sequence[Any], by: Sequence[str] = CELL) -> Rows:
-    """Return the rows in which each column in ``by`` has the value at the same place in ``key``."""
-    return rows.where(**dict(zip(by, key, strict=True)))
+def cell_of(rows: Rows, key: Sequence[Any]) -> Rows:
+    """Return the rows of a cell, whose levels of the columns `CELL` are ``key``."""
+    return rows.where(**dict(zip(CELL, key, strict=True)))
 
 
 # Evaluations: one row per policy × compensation × feedback × plant × gripper, and pairs of compensations.
@@ -90,7 +90,7 @@ def evaluation_rows(settings: PolicySettings, rows: Rows) -> list[dict[str, Any]
     """
     means, medians, worst = (estimates(rows, "error_mm", of) for of in STATISTICS.values())
     successes = {name: estimates(rows, f"chance_{name}", "share") for name in settings.grippers}
-    table = []
+    table: list[dict[str, Any]] = []
     for key, mean in means.items():
         cell = cell_of(rows, key)
         steps = cell["cycle_steps"][np.isfinite(cell["cycle_steps"])]
@@ -132,11 +132,12 @@ def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
         "from". "ci95" is the 95 % interval of the difference, and "significant" whether it differs from zero.
     """
     steps, names = [behind for (behind,) in rows.levels("compensation")], ("policy", "feedback", "plant")
-    pairs = {}
-    for number, base in enumerate(steps):
-        later = rows.where(compensation=tuple(steps[number:])).columns
-        for line in estimate(later, "error_mm", CELL, ("arm", "training"), against={"compensation": base}):
-            pairs[*(line[name] for name in names), base, line["compensation"]] = line["estimate"]
+    pairs = {
+        (*(line[name] for name in names), base, line["compensation"]): line["estimate"]
+        for number, base in enumerate(steps)
+        for later in [rows.where(compensation=tuple(steps[number:])).columns]
+        for line in estimate(later, "error_mm", CELL, ("arm", "training"), against={"compensation": base})
+    }
     return [
         dict(zip((*names, "from", "to"), (*key, base, later), strict=True))
         | {"difference_mm": difference.value, "ci95": difference.ends}
@@ -479,10 +480,9 @@ def run_leaderboard(
         row["training_mm"] = [float(cell.where(training=of)["error_mm"].mean()) for (of,) in cell.levels("training")]
     if not settings.canopies:
         return {"reach": reach, "pick": []}
-    asked = replace(settings, grippers=settings.grippers[:1])
     counted = tuple(behind for behind in PICK_BEHIND if behind in settings.compensations)
-    picked = run_policies(replace(asked, compensations=counted), folder, task="picking", **how)
-    return {"reach": reach, "pick": picking_rows(picked)}
+    asked = replace(settings, grippers=settings.grippers[:1], compensations=counted)
+    return {"reach": reach, "pick": picking_rows(run_policies(asked, folder, task="picking", **how))}
 
 
 def _worth_judging(compensation: str, feedback: str, **levels: Any) -> bool:
@@ -524,17 +524,19 @@ def picking_rows(rows: Rows) -> list[dict[str, Any]]:
     }
     table = []
     for lines in zip(*numbers.values(), strict=True):
-        key = [lines[0][name] for name in by]
-        cell = cell_of(rows, key, by)
-        row: dict[str, Any] = dict(zip(by, key, strict=True)) | {"arms": len(cell.levels("arm"))}
+        key = {name: lines[0][name] for name in by}
+        cell = rows.where(**key)
         trainings = [cell.where(training=training) for (training,) in cell.levels("training")]
-        row["training_success"] = [float(one["collected"].sum() / one["attempted"].sum()) for one in trainings]
-        row |= {name: int(cell[name].sum()) for name in ("attempted", "collected")}
         error, success, rate = (line["estimate"] for line in lines)
-        row |= {"error_mm": error.value, "error_ci95": error.ends}
-        row |= {"success": success.value, "success_ci95": success.ends}
         hourly = None if rate.ends is None else [3600.0 * end for end in rate.ends]
-        table.append(row | {"picks_per_hour": 3600.0 * rate.value, "picks_per_hour_ci95": hourly})
+        table.append(
+            {**key, "arms": len(cell.levels("arm"))}
+            | {"training_success": [float(one["collected"].sum() / one["attempted"].sum()) for one in trainings]}
+            | {name: int(cell[name].sum()) for name in ("attempted", "collected")}
+            | {"error_mm": error.value, "error_ci95": error.ends}
+            | {"success": success.value, "success_ci95": success.ends}
+            | {"picks_per_hour": 3600.0 * rate.value, "picks_per_hour_ci95": hourly}
+        )
     return table
 
 
@@ -574,8 +576,7 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
         tables[f"Pick, {plant}"] = heads, cells
     trained = (row for row in board["reach"] if row["trainings"] not in (None, 1))
     if several := [row for row in trained if row["compensation"] == "raw"]:
-        title = "Mean error of each training on raw arms (mm)"
-        tables[title] = pivot(
+        tables["Mean error of each training on raw arms (mm)"] = pivot(
             several, ["policy"], "plant", lambda row: " ".join(f"{mm:.2f}" for mm in row["training_mm"])
         )
     raw = (row for row in board["pick"] if row["compensation"] == "raw")

@@ -374,8 +374,7 @@ def run_bench(
 
     folds = made("gains", GAINS, partial(fold_errors, settings=settings, data=data), fold=range(settings.folds))
     gains = [gain for (row,) in folds.levels("row") if row not in skipped for gain in gains_of(folds.where(row=row))]
-    models = made("models", SPREAD, partial(model_errors, settings=settings, data=data))
-    return gains, models, skipped
+    return gains, made("models", SPREAD, partial(model_errors, settings=settings, data=data)), skipped
 
 
 def _set_of(row: str) -> RealSet:

@@ -46,17 +46,9 @@ from pickenv.arm.plant.populations import GRADE
 from pickenv.base import LIMITS, ONCE, SHARE, WHOLE, Check, InputError, Key, Unit, single_threaded, toml_of, toml_table
 from pickenv.base.registry import names
 from pickenv.base.toml_tables import made
-from pickenv.calibration import (
-    Calibration,
-    Compensator,
-    Measurements,
-    identify,
-    link_model,
-    random_joints,
-    simulated_tracker,
-)
+from pickenv.calibration import Calibration, Compensator, Measurements, identify, random_joints, simulated_tracker
 from pickenv.calibration.identification.least_squares import identify_converged
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, link_model
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, tracked
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.envs.shared.task import GOAL_MARGIN
@@ -523,44 +515,50 @@ def outcomes_of(
         attitude: Angle between the tool's true attitude and the wanted one at each fruit ``(N, M)``, rad; arbitrary
             if the status is not `OK`.
     """
-    columns: dict[str, Any] = {}
-    for name, value in setting.columns().items():
-        columns[name] = np.full(len(status), value, dtype=np.int32 if isinstance(value, int) else None)
+    columns = {
+        name: np.full(len(status), value, dtype=np.int32 if isinstance(value, int) else None)
+        for name, value in setting.columns().items()
+    }
     columns |= {"status": np.array(status), "iterations": np.asarray(iterations, dtype=np.int32)}
     return Rows(columns | {"position": position, "attitude": attitude})
 
 
-Judge: TypeAlias = Callable[[Sequence[Setting], Plant, Sequence[Circumstances]], list[Rows]]
-"""Function that judges a batch of arms, each in its own circumstances, and returns their outcomes in each setting."""
+Judge: TypeAlias = Callable[[Protocol, Sequence[Setting], Plant, Sequence[Circumstances]], list[Rows]]
+"""Function that judges a batch of arms of one population, each in its own circumstances, and returns their outcomes in
+each setting, such as `judge_arms` and `pickenv.experiments.study_batched.judge_batch`."""
 
 
-def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
-    """Compute the rows of the chunk of arms with the index ``chunk``, from 0, one arm at a time.
+def judge_arms(
+    protocol: Protocol, settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]
+) -> list[Rows]:
+    """Calibrate and judge a batch of arms, one arm at a time; arguments and result are those of `judge_batch`."""
+    outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
+    return [joined(parts) for parts in zip(*outcomes, strict=True)]
 
-    ``rng`` is not used: random numbers follow from the study's seed and the arms' numbers.
+
+@single_threaded()
+def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None, judge: Judge = judge_arms) -> Rows:
+    """Draw the arms of a chunk from each population, judge them, and return their rows.
+
+    Args:
+        protocol: The study.
+        chunk: Index of the chunk, from 0.
+        rng: Not used: random numbers follow from the study's seed and the arms' numbers.
+        judge: Function that calibrates and judges the arms of one population.
+
+    Returns:
+        One row for each arm and setting, sorted by arm and then by setting.
     """
-
-    def judge(settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]) -> list[Rows]:
-        outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
-        return [joined(parts) for parts in zip(*outcomes, strict=True)]
-
-    with single_threaded():
-        return judged_chunk(protocol, chunk, judge)
-
-
-def judged_chunk(protocol: Protocol, chunk: int, judge: Judge) -> Rows:
-    """Draw the arms of a chunk from each population, judge them, and return the rows of the chunk.
-
-    The ``chunk`` is an index from 0. The function ``judge`` calibrates and judges the arms of one population;
-    `judge_batch` is such a function.
-    """
-    arms = protocol.config.arms_of(chunk)
+    arms, parts = protocol.config.arms_of(chunk), list[dict[str, Any]]()
     around = [protocol.circumstances(arm) for arm in arms]
-    populations = []
     for settings in protocol.populations():
         plants = protocol.draw(settings[0], arms)
-        populations.append((plants, judge(settings, plants, around)))
-    return chunk_rows(protocol, arms, populations)
+        of_arms = deviations(protocol.design, plants)
+        outcomes = judge(protocol, settings, plants, around)
+        parts += [_columns(arms, each, protocol.config.radius_mm) | of_arms for each in outcomes]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    order = np.lexsort((columns["setting"], columns["arm"]))
+    return Rows({name: values[order] for name, values in columns.items()})
 
 
 def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, around: Circumstances) -> list[Rows]:
@@ -653,35 +651,10 @@ def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Arr
     """
     position_mm = 1e3 * np.ascontiguousarray(position)
     median, p95 = np.percentile(position_mm, [50, 95], axis=1)
-    values = (
-        position_mm.mean(axis=1),
-        np.sqrt(np.mean(position_mm**2, axis=1)),
-        median,
-        p95,
-        position_mm.max(axis=1),
-        np.degrees(np.ascontiguousarray(attitude).mean(axis=1)),
-    )
+    mean, rms = position_mm.mean(axis=1), np.sqrt(np.mean(position_mm**2, axis=1))
+    mean_attitude = np.degrees(np.ascontiguousarray(attitude).mean(axis=1))
+    values = (mean, rms, median, p95, position_mm.max(axis=1), mean_attitude)
     return dict(zip(FIGURES, values, strict=True)) | {"share_within": np.mean(position_mm <= radius_mm, axis=1)}
-
-
-def chunk_rows(protocol: Protocol, arms: range, populations: Sequence[tuple[Plant, Sequence[Rows]]]) -> Rows:
-    """Return the rows of a chunk, one for each arm and setting, sorted by arm and then by setting.
-
-    Args:
-        protocol: The study.
-        arms: Numbers of the chunk's arms, from 0 in the study.
-        populations: For each population, the true arms of the chunk, and their outcomes in each setting of this
-            population, from `outcomes_of`.
-    """
-    parts = [
-        _columns(arms, outcomes, protocol.config.radius_mm) | columns_of_arms
-        for plants, settings in populations
-        for columns_of_arms in [deviations(protocol.design, plants)]
-        for outcomes in settings
-    ]
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    order = np.lexsort((columns["setting"], columns["arm"]))
-    return Rows({name: values[order] for name, values in columns.items()})
 
 
 def _columns(arms: range, outcomes: Rows, radius_mm: float) -> dict[str, Any]:

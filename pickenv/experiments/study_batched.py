@@ -48,18 +48,6 @@ fruit that each arm cannot reach, by its own calibration ``(N,)``; number of lea
 the batch could calibrate each arm ``(N,)``. All other arms are calibrated one by one."""
 
 
-def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
-    """Compute the rows of a chunk of arms, many arms at a time.
-
-    Args:
-        protocol: The study.
-        chunk: Index of the chunk, from 0.
-        rng: Not used: random numbers follow from the study's seed and the arms' numbers.
-        device: "cpu" or "cuda".
-    """
-    return study.judged_chunk(protocol, chunk, partial(judge_batch, protocol, device=device))
-
-
 def judge_batch(
     protocol: study.Protocol,
     settings: Sequence[study.Setting],

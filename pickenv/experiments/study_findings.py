@@ -68,14 +68,9 @@ def gather(folder: str | Path) -> Findings:
     """
     protocol, rows = study.prepared_study(study_of(folder)), read_rows(folder)
     yields = yields_of(rows, protocol.config.share).to_pylist()
-    return Findings(
-        protocol,
-        rows,
-        yields,
-        quantiles_of(rows).to_pylist(),
-        quantiles_of(rows, [study.ERROR], DENSE).to_pylist(),
-        {row["setting"]: _sensitivities(rows, row["setting"]) for row in held(yields, ("method",))},
-    )
+    quantiles, dense = quantiles_of(rows).to_pylist(), quantiles_of(rows, [study.ERROR], DENSE).to_pylist()
+    sensitivities = {row["setting"]: _sensitivities(rows, row["setting"]) for row in held(yields, ("method",))}
+    return Findings(protocol, rows, yields, quantiles, dense, sensitivities)
 
 
 def _sensitivities(rows: Dataset, setting: int) -> list[dict[str, Any]] | str:
@@ -249,29 +244,25 @@ def study_drawings(findings: Findings) -> Drawings:
     rows, specification = findings.yields, specified(findings.protocol.config)
     has_results = any(row["failed"] < row["arms"] for row in rows)
     drawings: list[Drawing] = []
-
-    def add(name: str, caption: str, figure: Callable[..., Figure], *arguments: Any) -> None:
-        drawings.append(Drawing(name, caption, partial(figure, *arguments)))
-
     for along, (words, *_) in AXES.items():
         if along not in varied(rows):
             drawings.append(Drawing(f"yield_by_{along}", f"the study does not vary {words}"))
             continue
         caption = f"Share of arms that pick {specification}, against {words}, with Wilson 95 % bands."
-        add(f"yield_by_{along}", caption, yield_curves, rows, along, specification)
+        drawings.append(Drawing(f"yield_by_{along}", caption, partial(yield_curves, rows, along, specification)))
         if has_results:
             caption = f"Mean position error of the median arm against {words}; bands hold the middle 90 % of arms."
-            add(f"error_by_{along}", caption, error_curves, findings.quantiles, along)
+            drawings.append(Drawing(f"error_by_{along}", caption, partial(error_curves, findings.quantiles, along)))
     if has_results:
         caption, radius_mm = "How the arms' mean position errors are distributed.", findings.protocol.config.radius_mm
-        add("error_distribution", caption, distributions, findings.dense, radius_mm)
+        drawings.append(Drawing("error_distribution", caption, partial(distributions, findings.dense, radius_mm)))
     for setting, shares in findings.sensitivities.items():
         name, label = f"sensitivity_{rows[setting]['method'].replace('+', '_')}", findings.label(setting)
         if isinstance(shares, str):
             drawings.append(Drawing(name, shares))
         else:
             caption = "What each tolerance explains of the variance between arms, each at its own fruit: "
-            add(name, f"{caption}{in_words(label)}.", tornado, shares, label)
+            drawings.append(Drawing(name, f"{caption}{in_words(label)}.", partial(tornado, shares, label)))
     return drawings
 
 
@@ -449,12 +440,11 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
 
 def _together(labels: Sequence[str]) -> str:
     """Return one label for curves that look alike, given their labels, such as LS, IT6 to IT16 (alike)."""
-    if len(labels) == 1:
-        return labels[0]
-    last = (
-        labels[-1].rpartition(", ")[2] if labels[0].partition(", ")[0] == labels[-1].partition(", ")[0] else labels[-1]
-    )
-    return f"{labels[0]} to {last} (alike)"
+    first, last = labels[0], labels[-1]
+    if first == last:
+        return first
+    same_method = first.partition(", ")[0] == last.partition(", ")[0]
+    return f"{first} to {last.rpartition(', ')[2] if same_method else last} (alike)"
 
 
 def _held_words(rows: Sequence[Row], shown: Sequence[str]) -> str | None:

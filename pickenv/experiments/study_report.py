@@ -170,14 +170,12 @@ def _error_table(findings: Findings) -> PageTable:
 
 def _component_tables(summary: Row) -> list[Part]:
     heads = ("drawn anew", "alone (%)", "95 % interval", "with interactions (%)", "95 % interval")
-    parts: list[Part] = []
-    for setting in summary["components"]:
-        label, rows = setting_label(setting), setting["shares"]
-        if setting["missing"] is not None:
-            parts.append(in_words(f"{label}: {setting['missing']}."))
-        else:
-            parts.append(_index_table(f"{label}: {rows[0]['arms']} further arms", heads, rows))
-    return parts
+    return [
+        _index_table(f"{setting_label(row)}: {row['shares'][0]['arms']} further arms", heads, row["shares"])
+        if row["missing"] is None
+        else in_words(f"{setting_label(row)}: {row['missing']}.")
+        for row in summary["components"]
+    ]
 
 
 def _index_table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> PageTable:

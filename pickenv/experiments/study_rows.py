@@ -78,9 +78,9 @@ def run_study(
     if device != "cpu" and executor != BATCHED:
         raise InputError(f"`device='{device}'` is for one executor; give `executor='{BATCHED}'` with it")
     protocol, backend, arithmetic = study.prepared_study(config), EXECUTORS[executor], "arm by arm"
-    measure: Callable[..., Any] = partial(study.evaluate_chunk, protocol)
+    judge: study.Judge = study.judge_arms
     if executor == BATCHED:
-        measure, arithmetic = _batched(protocol, device), f"batched on {device}"
+        judge, arithmetic = _batched(protocol, device), f"batched on {device}"
         backend = "serial" if device != "cpu" or (workers or 1) == 1 else backend
     finished: list[int] = []
 
@@ -91,9 +91,8 @@ def run_study(
 
     with locked(folder):
         _claim(folder, config, arithmetic)
-        inputs = (config.sha256(), arithmetic)
-        units = {"chunk": config.chunks()}
-        experiment = Experiment(_name(config), units, {}, measure, config.seed, inputs)
+        inputs, measure = (config.sha256(), arithmetic), partial(study.evaluate_chunk, protocol, judge=judge)
+        experiment = Experiment(_name(config), {"chunk": config.chunks()}, {}, measure, config.seed, inputs)
         begin = time.perf_counter()
         files = keep(experiment, folder / ROWS, backend=backend, workers=workers, progress=count)
         about = {"executor": executor, "seconds": time.perf_counter() - begin, "chunks_reused": finished[0]}
@@ -101,14 +100,14 @@ def run_study(
         return write_record(folder / SUMMARY, _summary(protocol, folder, files, about))
 
 
-def _batched(protocol: study.Protocol, device: str) -> Callable[..., Any]:
+def _batched(protocol: study.Protocol, device: str) -> study.Judge:
     learnt = sorted({setting.method for setting in protocol.settings} - {study.RAW, study.LS})
     if learnt:
         raise InputError(f"the batched executor has no {learnt[0]}; give `executor='joblib'`, or leave that method out")
-    from pickenv.experiments.study_batched import check_device, evaluate_batch
+    from pickenv.experiments.study_batched import check_device, judge_batch
 
     check_device(device)
-    return partial(evaluate_batch, protocol, device=device)
+    return partial(judge_batch, device=device)
 
 
 def _name(config: study.StudyConfig) -> str:
@@ -118,26 +117,16 @@ def _name(config: study.StudyConfig) -> str:
 
 def _summary(protocol: study.Protocol, folder: Path, files: Sequence[Path], about: Row) -> dict[str, Any]:
     config, table, rows = protocol.config, table_sha256(folder), ds.dataset([str(file) for file in files])
-    yields = yields_of(rows, config.share).to_pylist()
-    quantiles = quantiles_of(rows).to_pylist()
-    return {
-        "plant": config.plant,
-        "simulated": True,
-        "pickenv": __version__,
-        "arms": config.arms,
-        "settings": len(protocol.settings),
-        "fruit": config.fruit,
-        "seed": config.seed,
-        "radius_mm": config.radius_mm,
-        "share": config.share,
-        **about,
-        "config_sha256": config.sha256(),
-        "table_sha256": table,
-        "yield": yields,
-        "quantiles_mm": [row for row in quantiles if row["quantity"].endswith("_mm")],
-        "quantiles_deg": [row for row in quantiles if row["quantity"].endswith("_deg")],
-        "components": [_components(protocol, protocol.settings[row["setting"]]) for row in held(yields, ("method",))],
-    }
+    yields, quantiles = yields_of(rows, config.share).to_pylist(), quantiles_of(rows).to_pylist()
+    sizes = {"arms": config.arms, "settings": len(protocol.settings), "fruit": config.fruit, "seed": config.seed}
+    by_unit = {f"quantiles_{u}": [row for row in quantiles if row["quantity"].endswith(f"_{u}")] for u in ("mm", "deg")}
+    components = [_components(protocol, protocol.settings[row["setting"]]) for row in held(yields, ("method",))]
+    return (
+        {"plant": config.plant, "simulated": True, "pickenv": __version__, **sizes}
+        | {"radius_mm": config.radius_mm, "share": config.share, **about}
+        | {"config_sha256": config.sha256(), "table_sha256": table}
+        | {"yield": yields, **by_unit, "components": components}
+    )
 
 
 def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, Any]:
@@ -353,10 +342,10 @@ def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
             middle = _middle(rows, name)
             free = name in ("poses", "noise_mm")
             rows = [row for row in rows if row[name] == middle or (free and row["method"] == study.RAW)]
-    by_position: dict[float, list[Row]] = {}
-    for row in rows:
-        by_position.setdefault(row["noise_mm"], []).append(row)
-    attitude = {noise: _middle(some, "noise_deg") for noise, some in by_position.items()}
+    attitude = {
+        noise: _middle([row for row in rows if row["noise_mm"] == noise], "noise_deg")
+        for noise in {row["noise_mm"] for row in rows}
+    }
     return [row for row in rows if row["noise_deg"] == attitude[row["noise_mm"]] or row["method"] == study.RAW]
 
 

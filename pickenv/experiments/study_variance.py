@@ -282,11 +282,7 @@ def sobol_indices(
     def figure(numbers: Array) -> Array:
         return model(numbers, np.arange(samples)).reshape(SCRAMBLES, -1)
 
-    mixed = []
-    for group in groups.values():
-        swapped = first.copy()
-        swapped[:, list(group)] = second[:, list(group)]
-        mixed.append(figure(swapped))
+    mixed = [figure(np.where(np.isin(np.arange(d), list(group)), second, first)) for group in groups.values()]
     return variance_indices(figure(first), figure(second), np.stack(mixed), list(groups))
 
 
@@ -345,17 +341,8 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
             chance = float(_explained(scatter, covariance[:1], group).sum() / variance[0])
             roots = np.sqrt(np.maximum(share, 0.0))
             low, high = _interval(float(share[0]), chance, blocks * roots[0] - (blocks - 1) * roots[1:])
-            table.append(
-                {
-                    "parameter": name,
-                    "kind": tolerance_kind(names[group[0]]),
-                    "level": level,
-                    "share": float(share[0] - chance),
-                    "share_low": low,
-                    "share_high": high,
-                    **about,
-                }
-            )
+            row = {"parameter": name, "kind": tolerance_kind(names[group[0]]), "level": level}
+            table.append(row | {"share": float(share[0] - chance), "share_low": low, "share_high": high} | about)
     return pa.Table.from_pylist(sorted(table, key=lambda row: -row["share"]))
 
 
@@ -404,8 +391,7 @@ def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
     sums = np.zeros((BLOCKS, size, size))
     for arm, error, *columns in batches(["arm", "error_rms_mm", *varied]):
         x = (np.stack(columns, axis=1) - mean[varies]) / deviation[varies] if columns else np.zeros((len(arm), 0))
-        z = np.column_stack([np.ones(len(arm)), x, x**2, error**2])
-        sums += _products(z, arm % BLOCKS)
+        sums += _products(np.column_stack([np.ones(len(arm)), x, x**2, error**2]), arm % BLOCKS)
     return varied, sums
 
 

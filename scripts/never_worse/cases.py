@@ -6,7 +6,7 @@ A case fits what a user would fit and judges it where the truth is known. Its ro
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -113,10 +113,6 @@ class Row:
     def worse(self) -> bool:
         """Whether the calibrated arm is worse than the drawing."""
         return self.nominal is not None and self.calibrated > self.nominal
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {**asdict(self), "meets": self.meets}
 
 
 @dataclass(frozen=True)
@@ -235,41 +231,32 @@ def at_stations(plan: Any) -> bool:
 
 
 def judged_sequences(settings: Settings, track: str, robot: str, wanted: Callable[[Any], bool]) -> list[list[Row]]:
-    """The first sequences of an arm in a track, each beside its poses and over all joints."""
-    figures: list[list[Row]] = []
-    for sequence in generated_sequences(track, robot, wanted, settings.sequences):
-        figures.append(judged_sequence(sequence, settings.seed))
-        settings.step(f"{track}, {robot}, sequence {len(figures)}")
-    return figures
+    """The first sequences of an arm in a track of KinHEC, each beside its poses and over all joints.
 
-
-def generated_sequences(track: str, robot: str, wanted: Callable[[Any], bool], count: int) -> list[Any]:
-    """Sequences of an arm as KinHEC generates them; where the tier has too few, it is asked for more repeats."""
+    Where the tier has too few, it is asked for more repeats.
+    """
     try:
         from kinhec import generate_sequence  # type: ignore[import-untyped, unused-ignore]
         from kinhec.plans import build_plan, load_tier  # type: ignore[import-untyped, unused-ignore]
     except ImportError:
         raise InputError("the package kinhec is missing; pip install kinhec") from None
-    tier, chosen = load_tier("small"), []
-    for repeats in (tier["tracks"][track]["repeats"], count):
+    tier, chosen, figures = load_tier("small"), [], []
+    for repeats in (tier["tracks"][track]["repeats"], settings.sequences):
         tier["tracks"][track]["repeats"] = repeats
         chosen = [plan for plan in build_plan(tier, [track])[track] if plan.robot == robot and wanted(plan)]
-        if len(chosen) >= count:
+        if len(chosen) >= settings.sequences:
             break
-    return [generate_sequence(plan) for plan in chosen[:count]]
+    for number, plan in enumerate(chosen[: settings.sequences], start=1):
+        figures.append(judged_sequence(generate_sequence(plan), settings.seed))
+        settings.step(f"{track}, {robot}, sequence {number}")
+    return figures
 
 
 def dh_geometry(robot: Any, **numbers: Any) -> Geometry:
     """The geometry of an arm of KinHEC, with numbers of its DH table replaced."""
     table = {name: numbers.get(name, getattr(robot, name)) for name in ("a", "d", "alpha", "theta_offset")}
-    return from_standard_dh(
-        tuple(f"J{i + 1}" for i in range(robot.dof)),
-        (False,) * robot.dof,
-        theta=table.pop("theta_offset"),
-        **table,
-        lower=robot.q_min,
-        upper=robot.q_max,
-    )
+    names, ends = tuple(f"J{i + 1}" for i in range(robot.dof)), {"lower": robot.q_min, "upper": robot.q_max}
+    return from_standard_dh(names, (False,) * robot.dof, theta=table.pop("theta_offset"), **table, **ends)
 
 
 def judged_sequence(sequence: Any, seed: int) -> list[Row]:
@@ -284,16 +271,10 @@ def judged_sequence(sequence: Any, seed: int) -> list[Row]:
         for names in (("px", "py", "pz"), ("qx", "qy", "qz", "qw"))
     )
     back = Rotation.from_quat(turn).inv()
-    rows = Measurements(
-        joints=np.array(sequence.robot_table.to_pydict()["q_meas"]),
-        position=-back.apply(board),
-        rotation=back.as_matrix(),
-        prismatic=nominal.prismatic,
-        position_std=float(np.median(config.camera_noise["trans_std_m"])),
-        attitude_std=float(np.median(config.camera_noise["rot_std_rad"])),
-        source=config.sequence_id,
-        std_stated=True,
-    )
+    joints = np.array(sequence.robot_table.to_pydict()["q_meas"])
+    std = (float(np.median(config.camera_noise[name])) for name in ("trans_std_m", "rot_std_rad"))
+    seen = joints, -back.apply(board), back.as_matrix(), nominal.prismatic, *std
+    rows = Measurements(*seen, source=config.sequence_id, std_stated=True)
     arm = Arm(robot.name, robot.source, nominal, None, np.asarray(robot.qd_max, dtype=float))
     where = regions(rows.joints, nominal.lower, nominal.upper, seed)
     near = {name: where[name] for name in ("0.15 rad beside", "all joints")}
@@ -392,8 +373,7 @@ def few_rows(settings: Settings) -> list[Row]:
             drawn.append(judged_rows(arm, grid.select(order[:count]), grid.select(order[count:])))
             settings.step(f"{count} rows, draw {draw + 1}")
         mean = mean_row(f"UR5, {count} rows, mean of {DRAWS}", drawn, None)
-        limit = min(mean.nominal, mean.plain / 2) if count == 10 else mean.nominal
-        rows.append(replace(mean, at_most=limit))
+        rows.append(replace(mean, at_most=min(mean.nominal, mean.plain / 2) if count == 10 else mean.nominal))
         worst = max(row.calibrated / row.nominal for row in drawn)
         rows.append(Row(mean.subject, "worst draw, part of nominal", worst, unit="", at_most=1.0))
     return rows
@@ -499,12 +479,11 @@ def so101(settings: Settings) -> list[Row]:
             result = delivered(plant.arm, views, choices=Choices(fit=fit))
             arms_judged += judged("", result, plant.arm.nominal, truth, where)
             settings.step(f"fit {fit}, arm {i + 1}")
-        subject, limit = f"SO-101, {settings.arms} arms, fit {fit}", SO101_BEFORE / 2
+        subject = f"SO-101, {settings.arms} arms, fit {fit}"
         calibrated, nominal = np.mean([(row.calibrated, row.nominal) for row in arms_judged], axis=0)
         grades = counts_of([str(row.grade) for row in arms_judged])
-        rows.append(Row(subject, "all joints", calibrated, nominal, grade=grades, at_most=limit))
-        worse = sum(row.worse for row in arms_judged)
-        rows.append(Row(subject, "worse than nominal", worse, unit="arms", at_most=0.0))
+        rows.append(Row(subject, "all joints", calibrated, nominal, grade=grades, at_most=SO101_BEFORE / 2))
+        rows.append(Row(subject, "worse than nominal", sum(row.worse for row in arms_judged), unit="arms", at_most=0.0))
     return rows
 
 

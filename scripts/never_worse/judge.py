@@ -127,9 +127,8 @@ def stated_radii(calibration: Calibration, joints: Array) -> Array | None:
     columns = [model.parameter_names.index(name) for name in sure.names]
     jacobian, flange = model.jacobian(joints)[..., columns], calibrated_flange(calibration)(joints)
     base = calibration.identified.base
-    seen = model.pose(joints)
     points = points_of(flange) @ base.rotation.T + base.position
-    arms = points - seen.position[:, None, :]  # (N, 3, 3): from the tool to the points, world axes
+    arms = points - model.pose(joints).position[:, None, :]  # (N, 3, 3): from the tool to the points, world axes
     turned = np.cross(np.swapaxes(jacobian[:, 3:], 1, 2)[:, :, None, :], arms[:, None])  # (N, p, 3, 3)
     moved = np.swapaxes(jacobian[:, :3], 1, 2)[:, :, None, :] + turned
     rows = np.moveaxis(moved, 1, -1).reshape(-1, len(columns))

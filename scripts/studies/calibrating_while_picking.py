@@ -184,15 +184,13 @@ def picks(rng: np.random.Generator, rung: str, policy: str, arms: int, canopies:
     envs = PickVectorEnv(arms, difficulty=rung, split="test", feedback="gripper")
     numbers = np.random.default_rng(stream(seed, "arms", 0)).permutation(envs.task.population)[:arms]
     picker = FeelingPick(envs, MEMORIES[policy](envs)) if policy in MEMORIES else ScriptedPick(envs)
-    columns: dict[str, list[Any]] = {name: [] for name in ("attempted", "collected", "error_sum_mm")}
-    for canopy, hours in enumerate(np.linspace(0.0, DAY_H, canopies)):
-        fruit = seed_words(stream(seed, "picks", canopy), arms)
-        totals = pick_canopies(picker, envs, fruit, {"arm": numbers, "hours": hours})
-        for name, column in columns.items():
-            column.extend(totals[name])
+    totals = [
+        pick_canopies(picker, envs, seed_words(stream(seed, "picks", canopy), arms), {"arm": numbers, "hours": hours})
+        for canopy, hours in enumerate(np.linspace(0.0, DAY_H, canopies))
+    ]
     canopy, arm = (index.ravel() for index in np.indices((canopies, arms)))
     when = np.array([next((name for name, some in PARTS.items() if k in some), "") for k in canopy])
-    grasps = {name: np.array(column) for name, column in columns.items()}
+    grasps = {n: np.concatenate([each[n] for each in totals]) for n in ("attempted", "collected", "error_sum_mm")}
     grasps["success"] = grasps["collected"] / np.maximum(grasps["attempted"], 1.0)
     return {"arm": arm, "canopy": canopy + 1, "when": when, **grasps}
 

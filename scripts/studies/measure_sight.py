@@ -264,15 +264,11 @@ def text_of(tables: Sequence[Measured], command: str) -> str:
     """The file of tables."""
     lines = [HEAD.format(command=command)]
     for eyes, seen in tables:
-        canopy = eyes.canopy
-        lines += [
-            f"[{canopy.name}-{eyes.detector}]",
-            f'source = "{command}: canopy {canopy.name}, fruit map {FRUIT_MAPS[canopy.name]}, fruit of 60 mm"',
-            f'canopy = "{canopy.name}"',
-            f'detector = "{eyes.detector}"',
-            f"leaf_area_per_volume = {canopy.leaf_area_per_volume}",
-        ]
-        for key, value in tabulated(seen, RANGES, PARTS).items():
+        canopy, area = eyes.canopy.name, eyes.canopy.leaf_area_per_volume
+        source = f"{command}: canopy {canopy}, fruit map {FRUIT_MAPS[canopy]}, fruit of 60 mm"
+        about = {"source": source, "canopy": canopy, "detector": eyes.detector, "leaf_area_per_volume": area}
+        lines.append(f"[{canopy}-{eyes.detector}]")
+        for key, value in (about | tabulated(seen, RANGES, PARTS)).items():
             rows = isinstance(value, list) and value and isinstance(value[0], list)
             inner = ",\n".join(f"    {json.dumps(row)}" for row in value) if rows else ""
             lines.append(f"{key} = [\n{inner},\n]" if rows else f"{key} = {json.dumps(value)}")

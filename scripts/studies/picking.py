@@ -75,13 +75,11 @@ def conditions(
     judged, arguments = seed_words(stream(seed, "fruit"), canopies), CONDITIONS[condition]
     if policy != "learnt":
         return canopy_rows(policy, picked(arguments, HASTY if policy == "scripted, hasty" else {}, judged), canopies)
-    found, parts = searched(condition, generations, seed), []
-    for name, knobs in PARTS.items():
-        points = found.learnt * [knob in knobs for knob in KNOBS]
-        parts.append(canopy_rows(name, picked(arguments, arguments_of(points), judged), canopies))
+    found, on_the_way = searched(condition, generations, seed), [HELD_OUT + i for i in range(CURVE)]
+    tried = [(name, found.learnt * [knob in knobs for knob in KNOBS], judged) for name, knobs in PARTS.items()]
     for at in range(0, generations + 1, 2):
-        on_the_way = picked(arguments, arguments_of(found.means[at]), [HELD_OUT + i for i in range(CURVE)])
-        parts.append(canopy_rows(f"after {found.steps[at].mean():.0f} steps", on_the_way, CURVE))
+        tried.append((f"after {found.steps[at].mean():.0f} steps", found.means[at], on_the_way))
+    parts = [canopy_rows(name, picked(arguments, arguments_of(x), fruit), len(fruit)) for name, x, fruit in tried]
     return joined(list(map(Rows, parts)))
 
 
@@ -92,15 +90,9 @@ def orders(rng: np.random.Generator, place: str, order: str, canopies: int, seed
 
 
 def learning(
-    rng: np.random.Generator,
-    training: int,
-    policy: str,
-    place: list[str],
-    canopies: int,
-    steps: int,
-    folder: str,
+    rng: np.random.Generator, training: int, policy: str, place: list[str], canopies: int, steps: int, folder: str,
     seed: int,
-) -> Any:
+) -> Any:  # fmt: skip
     """PPO with steps of the tool beside the script, where it was trained and on a harder rung.
 
     One piece has all places: two processes never train in one folder.

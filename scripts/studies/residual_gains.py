@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at
+from pickenv.arm import plant_at
+from pickenv.arm.plant.plant_file import draw_arms
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.experiments.gains import LS, ROWS, TERMS, grid_joints, left_of_blocks
 
@@ -35,7 +36,7 @@ def left_on_sets(
         np.random.default_rng(np.random.SeedSequence(sequence.entropy, spawn_key=place))
         for place in ((0,), (1 + PROTOCOLS.index(protocol), number))
     )
-    drawn = plant_at(draw_plants(load_plant(plant), load_tolerances("medium"), arm + 1, of_arms), arm)
+    drawn = plant_at(draw_arms(plant, "medium", arm + 1, of_arms), arm)
     nominal = drawn.arm.nominal
     joints = grid_joints(nominal, ROWS, own) if protocol == "grid" else random_joints(nominal, ROWS, own)
     models: dict[str, Any] = {"terms": TERMS_ALONE, "epochs": epochs, "attitudes": True, "frames": "fitted"}

@@ -50,8 +50,8 @@ def sensitivities(findings: Findings) -> str:
     return "\n".join(parts)
 
 
-def printed(out: Path) -> str:
-    """All tables."""
+def main(out: Path = Path("runs/tolerances")) -> None:
+    """Print the tables, and put them beside the page."""
     for name in STUDIES:
         run_study(load_study(ROOT / "scripts" / f"{name}.toml"), out / name, executor="batched")
     first, second = (gather(out / name) for name in STUDIES)
@@ -62,18 +62,10 @@ def printed(out: Path) -> str:
         for setting in read_summary(out / STUDIES[1])["components"]
         for row in setting["shares"]
     ]
-    parts = {
-        "Where the differences between arms come from": table(
-            ("setting", "drawn anew", "alone", "with interactions"), components
-        ),
-        "Which tolerance matters (in Sobol's groups lead errors count as transmission error)": sensitivities(second),
-    }
-    return "\n".join(f"{title}:\n\n{part}" for title, part in parts.items())
-
-
-def main(out: Path = Path("runs/tolerances")) -> None:
-    """Print the tables, and put them beside the page."""
-    text = printed(out)
+    causes = table(("setting", "drawn anew", "alone", "with interactions"), components)
+    groups = "(in Sobol's groups lead errors count as transmission error)"
+    matters = f"Which tolerance matters {groups}:\n\n{sensitivities(second)}"
+    text = f"Where the differences between arms come from:\n\n{causes}\n{matters}"
     write_text(TABLES, text)
     print(text)
 

@@ -8,6 +8,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from jinja2 import StrictUndefined, Template
+
 from pickenv.agents import BASELINES, LearnedPolicy, RememberingPolicy, Training, train, tuned
 from pickenv.agents.evaluation.contenders import load_any
 from pickenv.arm import load_plant
@@ -16,6 +18,7 @@ from pickenv.experiments import CalibrationPlan, PolicySettings, calibrate_arm, 
 from pickenv.experiments.policy_tables import KEYS, cells_of
 
 SEEDS = 5
+CARD = Path(__file__).with_name("baseline_card.md.jinja")
 CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0, "fruit_noise_mm": 0.0}
 
 BASELINES_BY_NAME: dict[str, dict[str, Any]] = {
@@ -47,13 +50,8 @@ def calibration_file(out: Path) -> Path:
 
 def judged(name: str, policy: str, out: Path, compensations: tuple[str, ...]) -> list[dict[str, Any]]:
     """One row per compensation, of a folder of trainings or of one policy."""
-    settings = PolicySettings(
-        policies=(policy,),
-        compensations=compensations,
-        feedback=("camera" if name.endswith("camera") else "encoders",),
-        plants=("qiao2026",),
-        grippers=("li_cup",),
-    )
+    feedback = "camera" if name.endswith("camera") else "encoders"
+    settings = PolicySettings((policy,), compensations, (feedback,), plants=("qiao2026",), grippers=("li_cup",))
     rows = run_policies(settings, cache=out / "calibrations", backend="loky")
     results = []
     for row in evaluation_rows(settings, rows):
@@ -74,64 +72,20 @@ def card(name: str, policy: LearnedPolicy | RememberingPolicy, results: list[dic
     """The model card."""
     what = policy.record["training"]
     size = sum(weight.size + bias.size for weight, bias in zip(policy.weights, policy.biases, strict=True))
-    behind = "behind a calibration (least squares)" if what["compensate"] else "on the raw arm"
-    judged_on = results[0]
-    fruit = judged_on["episodes"] // judged_on["arms"] // judged_on["trainings"]
-    camera = isinstance(policy, RememberingPolicy) or policy.scaling.camera
-    arguments = tuned(policy.algorithm, what["env_id"]).get("env_kwargs", {}) | what["arguments"]
     if isinstance(policy, RememberingPolicy):
         size += sum(value.size for value in policy.arrays.values())
-        behind = "on the raw arms of a population, runs of 20 fruit each (`pickenv.wrappers.SameArm`)"
-        sees = (
-            "It drives with the nominal arm, aims beside the fruit by what the camera saw at past picks of the same "
-            "arm, and learns the camera's view of a fruit when the next episode begins. The first fruit of an arm it "
-            "meets as if nothing were known; so every arm wants a policy of its own."
-        )
-        use = "from pickenv.agents.policies.adaptive import RememberingReach, load_remembering\n\n"
-        use += f'policy = RememberingReach(env, load_remembering("{name}"))\n'
-        use += "policy.reset()  # before every fruit; a new arm wants a new policy"
-    else:
-        sees = (
-            "Observations and actions are scaled by the gap to the fruit (`pickenv/wrappers/gap.py`), so accuracy is "
-            "limited by what the policy can see, not by its network."
-        )
-        use = f'from pickenv.agents.policies.learned import load_policy\n\npolicy = load_policy("{name}")'
-    names = " ".join(row["compensation"] for row in results)
-    her = " with HER" if isinstance(policy, LearnedPolicy) and policy.scaling.goal else ""
-    lines = "\n".join(f"| {' | '.join(cells(row))} |" for row in results)
-    return f"""# {name}
-
-{policy.algorithm.upper()}{her} on `{what["env_id"]}`, arm `{policy.arm}`, plant \
-`{arguments.get("plant", "qiao2026")}`, trained {behind}; {policy.record["steps"]} steps, {size} weights, \
-seed {what["seed"]}.
-Arguments of the environment: `{arguments}`. Parameters: `pickenv/zoo/hyperparams/{policy.algorithm}.py`.
-
-## Use
-
-Feedback `{"camera" if camera else "encoders"}`. {sees}
-
-```python
-{use}
-action = policy.act(observation)
-```
-
-## Results
-
-Final errors on {judged_on["arms"]} arms drawn from tolerance class {judged_on["tolerances"]} that no training saw, \
-{fruit} fruit each, each with its own calibration (seed {judged_on["seeds"][0]}). Mean, median and 95th percentile are \
-over arms; 95 % intervals over {judged_on["interval_over"]}.
-
-| compensation | mean (mm) | 95 % | median arm (mm) | 95th arm (mm) | by seed (mm) | attitude (deg) |
-|---|---|---|---|---|---|---|
-{lines}
-
-## Limits
-
-Trained for one arm's nominal geometry; it refuses other arms.
-No obstacles, no joint torques, one fruit at a time; a simulated arm, never a real one.
-
-Judged by `python scripts/studies/train_baselines.py --cards --compensations {names}`; trained by it without --cards.
-"""
+    return Template(CARD.read_text(encoding="utf-8"), undefined=StrictUndefined, keep_trailing_newline=True).render(
+        name=name,
+        policy=policy,
+        what=what,
+        remembering=isinstance(policy, RememberingPolicy),
+        goal=isinstance(policy, LearnedPolicy) and policy.scaling.goal,
+        size=size,
+        arguments=tuned(policy.algorithm, what["env_id"]).get("env_kwargs", {}) | what["arguments"],
+        first=results[0],
+        lines="\n".join(f"| {' | '.join(cells(row))} |" for row in results),
+        compensations=" ".join(row["compensation"] for row in results),
+    )
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.base import share_interval
-from pickenv.experiments import load_study, prepared_study, study_batched
+from pickenv.experiments import load_study, prepared_study, study, study_batched
 
 STUDY = Path(__file__).parents[2] / "scripts/tolerance_grades.toml"
 
@@ -20,7 +20,7 @@ def test_the_interval_of_a_yield_holds_what_all_seeds_give(repeats: Any) -> None
     config = replace(load_study(STUDY), tolerances=("fine",), it_grades=(14,), arms=arms, chunk=arms)
     within = []
     for seed in range(5000, 5000 + seeds):
-        rows = study_batched.evaluate_batch(prepared_study(replace(config, seed=seed)), 0)
+        rows = study.evaluate_chunk(prepared_study(replace(config, seed=seed)), 0, judge=study_batched.judge_batch)
         within.append(int(np.sum(rows["share_within"] >= config.share)))
     share = np.mean(within) / arms
     dispersion = np.var(np.array(within) / arms, ddof=1) / (share * (1.0 - share) / arms)

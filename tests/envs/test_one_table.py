@@ -19,7 +19,7 @@ from pickenv.envs.harvesting import harvest_task
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
 from pickenv.envs.picking.pick_scene import PickScene
 from pickenv.experiments import Noise, StudyConfig, prepared_study
-from pickenv.experiments.study import RAW, chunk_rows, evaluate_arm
+from pickenv.experiments.study import RAW, evaluate_arm, evaluate_chunk
 from pickenv.experiments.study_batched import judge_batch
 from pickenv.harvester import attempt, draw_luck
 from pickenv.orchard import capture_probability
@@ -108,7 +108,7 @@ def test_pose_error_reward_and_success_are_the_studys(kind, protocol, given, pla
     np.testing.assert_allclose(rewards, wanted, rtol=0, atol=1e-12)
     assert info["is_success"].tolist() == success.tolist()
     assert 0 < success.sum() < len(ROWS)
-    table = chunk_rows(protocol, range(ARMS), [(plants, [together])])
+    table = evaluate_chunk(protocol, 0, judge=lambda *batch: [together])
     np.testing.assert_allclose(table["share_within"], success.reshape(ARMS, FRUIT).mean(axis=1))
     _, sparse = shown(kind, given, reward="sparse")
     assert sparse.tolist() == np.where(success, 0.0, -1.0).tolist()

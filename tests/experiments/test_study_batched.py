@@ -11,7 +11,7 @@ from pickenv.arm import TOLERANCES, plant_at
 from pickenv.base import InputError
 from pickenv.experiments import Noise, load_study, prepared_study, run_study, study_batched
 from pickenv.experiments.study import OK, evaluate_arm, evaluate_chunk
-from pickenv.experiments.study_batched import evaluate_batch, judge_batch
+from pickenv.experiments.study_batched import judge_batch
 
 AGREEMENT = 1e-9
 """Relative; what rounding leaves is about 1e-12."""
@@ -25,7 +25,7 @@ def compare(config, agreement=AGREEMENT):
     """Both executors' rows; they must agree. Returns the reference's."""
     protocol = prepared_study(config)
     for chunk in config.chunks():
-        one, other = evaluate_chunk(protocol, chunk).arrow(), evaluate_batch(protocol, chunk).arrow()
+        one, other = evaluate_chunk(protocol, chunk).arrow(), evaluate_chunk(protocol, chunk, judge=judge_batch).arrow()
         assert one.schema == other.schema and one.num_rows == other.num_rows
         for name in one.column_names:
             expected, found = one[name].to_numpy(), other[name].to_numpy()
@@ -162,9 +162,9 @@ def test_an_arm_is_handed_over_rather_than_left_unconverged(study_file, monkeypa
 
 def test_blocks_change_nothing_but_rounding(study_file, monkeypatch):
     protocol = prepared_study(replace(load_study(study_file()), chunk=12, it_grades=(12,)))
-    whole = evaluate_batch(protocol, 0).arrow()
+    whole = evaluate_chunk(protocol, 0, judge=judge_batch).arrow()
     monkeypatch.setitem(study_batched.BLOCKS, "cpu", 50)  # two arms at a time
-    parts = evaluate_batch(protocol, 0).arrow()
+    parts = evaluate_chunk(protocol, 0, judge=judge_batch).arrow()
     assert parts.column_names == whole.column_names
     np.testing.assert_array_equal(parts["arm"], whole["arm"])
     np.testing.assert_allclose(parts["error_mean_mm"], whole["error_mean_mm"], rtol=AGREEMENT)

@@ -13,7 +13,6 @@ from pickenv.experiments.study import (
     NOT_FINITE,
     OK,
     carrying,
-    chunk_rows,
     evaluate_arm,
     evaluate_chunk,
     figures,
@@ -283,12 +282,12 @@ def test_the_figures_are_those_of_a_hundred_and_one_fruit_known_by_heart():
 
 
 def test_an_arm_without_a_finite_pose_is_not_judged_and_an_earlier_reason_stays(config):
-    protocol = prepared_study(config)
-    (setting, *_), arms = protocol.populations()[0], range(3)
+    protocol = prepared_study(replace(config, arms=3, chunk=3))
+    setting = protocol.settings[0]
     position = np.full((3, config.fruit), 5e-4)
     position[1:, 0] = np.nan
     outcomes = outcomes_of(setting, (OK, OK, "lost"), (4, 4, 4), position, np.zeros_like(position))
-    table = chunk_rows(protocol, arms, [(protocol.draw(setting, arms), [outcomes])]).arrow()
+    table = evaluate_chunk(replace(protocol, settings=(setting,)), 0, judge=lambda *batch: [outcomes]).arrow()
     assert table["status"].to_pylist() == [OK, NOT_FINITE, "lost"]
     np.testing.assert_allclose(table["error_mean_mm"].to_numpy(), [0.5, np.nan, np.nan])
     np.testing.assert_allclose(table["share_within"].to_numpy(), [1.0, np.nan, np.nan])

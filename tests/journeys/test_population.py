@@ -20,7 +20,8 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.experiments import load_study, prepared_study, yields_of
-from pickenv.experiments.study_batched import evaluate_batch
+from pickenv.experiments.study import evaluate_chunk
+from pickenv.experiments.study_batched import judge_batch
 
 ROOT = Path(__file__).parents[2]
 ASKED = 0.83
@@ -65,7 +66,7 @@ def test_intervals_of_small_studies_hold_at_other_seeds(tmp_path: Path) -> None:
     path.write_text(STUDY.format(arms=40, radius_mm=3.0, method="raw", poses=[30]), encoding="utf-8")
     config, yields = load_study(path), []
     for seed in range(24):
-        rows = evaluate_batch(prepared_study(replace(config, seed=seed)), 0)
+        rows = evaluate_chunk(prepared_study(replace(config, seed=seed)), 0, judge=judge_batch)
         yields.append(yields_of(ds.dataset(rows.arrow()), config.share).to_pylist())
     assert 0.2 < np.mean([rows[0]["yield"] for rows in yields]) < 0.95  # else the interval has no work to do
     assert confirmed(yields) >= ASKED

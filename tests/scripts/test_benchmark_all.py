@@ -47,30 +47,33 @@ def test_ratios_come_first_and_parts_are_told_apart(script):
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
-def test_the_markdown_says_what_was_not_measured(script):
+def test_the_table_of_studies_says_what_was_not_measured(script):
     unmeasured = {"seconds": 2000.0, "cpu_seconds": None, "peak_mib": None}
-    study = [*STUDY, row("ls", "batched", 1_000_000, 2.0, **unmeasured)]
-    text = script.markdown(script.gathered(ENVIRONMENTS, CALIBRATION, study, script.machine()))
-    assert text.index("| ratio |") < text.index("| environment |") < text.index("| method |")
-    assert "| ls | batched | 1 | 1,000,000 | 2000.0 | - | 2.000 | - |" in text
-    assert "calibration: no figures: no data" in text and "| absent | 1 | - | cannot be run |" in text
+    text = script.study_table([*STUDY, row("ls", "batched", 1_000_000, 2.0, **unmeasured)])
+    assert "| method | executor | processes | arms | seconds | cpu seconds | ms per arm | peak mib |" in text
+    assert "| ls | serial | 1 | 100 | 2.0 | 1 | 20.000 | 100 |" in text
+    assert "| ls | batched | 1 | 1000000 | 2000.0 | - | 2.000 | - |" in text
 
 
-def test_a_benchmark_that_fails_leaves_a_note(script, monkeypatch, tmp_path):
+def test_a_benchmark_prints_its_tables_and_one_that_fails_leaves_a_note(script, monkeypatch, tmp_path, capfd):
     (tmp_path / "broken.py").write_text("raise SystemExit('error: no such data')", encoding="utf-8")
+    code = "import sys; print('its table'); open(sys.argv[2], 'w').write('{}')"
+    (tmp_path / "sound.py").write_text(code, encoding="utf-8")
     monkeypatch.setattr(script, "SCRIPTS", tmp_path)
     assert script.run_script("broken.py") == {"note": "no figures: error: no such data", "ratios": {}}
+    assert "broken.py: no figures: error: no such data" in capfd.readouterr().out
+    assert script.run_script("sound.py") == {} and capfd.readouterr().out == "its table\n"
 
 
 def test_every_executor_works_on_the_same_population(script):
     for quick in (True, False):
-        compared = [case for case in script.cases(quick) if case.executor != "batched"]
-        assert {case.executor for case in compared} >= {"serial", "joblib"}
-        assert len({case.arms for case in compared}) == 1
-    assert max(case.arms for case in script.cases(False)) == 1_000_000
+        compared = [(executor, arms) for _, executor, arms, _ in script.cases(quick) if executor != "batched"]
+        executors, arms = map(set, zip(*compared, strict=True))
+        assert executors >= {"serial", "joblib"} and len(arms) == 1
+    assert max(arms for _, _, arms, _ in script.cases(False)) == 1_000_000
 
 
 def test_a_study_is_timed(script):
-    timed = script.time_case(script.Case("raw", "serial", 8, 1))
+    timed = script.time_case("raw", "serial", 8, 1)
     assert timed["ms_per_arm"] == pytest.approx(1e3 * timed["seconds"] / 8)
     assert timed["cpu_seconds"] > 0.0 and timed["seconds"] > 0.0
