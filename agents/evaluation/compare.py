@@ -148,9 +148,8 @@ def compare(
     ]
     facts: dict[str, Any] = {"plant": plant, "env_id": env, "seed": seed, "seeds": seeds, "period": period}
     facts |= {"gripper": judge.name, "tolerance_mm": round(1e3 * judge.tolerance, 6)}
-    options: dict[str, Any] = {"env": env, "episodes": episodes, "seed": seed, "gripper": gripper}
-    options |= {"compensate": compensate, "allow": sorted(allow)}
-    options |= {"grid_step": None if grid_step == GRID_STEP else grid_step}
+    options = {"env": env, "episodes": episodes, "seed": seed, "gripper": gripper, "compensate": compensate}
+    options |= {"allow": sorted(allow), "grid_step": None if grid_step == GRID_STEP else grid_step}
     command = _command(policies, options, labels, arguments)
     if plant is None or "field" not in features:
         return PolicyComparison(RecordedEpisodes(policies=tuple(recorded), **facts), command)

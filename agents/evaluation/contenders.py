@@ -277,10 +277,6 @@ def _joined(parts: Sequence[Rollout]) -> Rollout:
     return Rollout(reaches, arm, target, np.concatenate([part.error_mm for part in parts], axis=1))
 
 
-SEQUENTIAL_STEPS = 30
-"""Number of steps in an episode of a policy that learns from pick to pick; the longest move takes 20 steps."""
-
-
 @dataclass(frozen=True)
 class Kind:
     """Properties of a policy that an evaluation needs to know.
@@ -306,8 +302,11 @@ class Kind:
 
     @property
     def steps(self) -> int:
-        """Number of steps in an episode in which such a policy is evaluated."""
-        return SEQUENTIAL_STEPS if self.sequential else 60
+        """Number of steps in an episode in which such a policy is evaluated.
+
+        It is smaller for a policy that learns from pick to pick; the longest move takes 20 steps.
+        """
+        return 30 if self.sequential else 60
 
 
 def kind_of(name: str) -> Kind:
@@ -321,9 +320,8 @@ def kind_of(name: str) -> Kind:
         InputError: If ``name`` is none of these.
     """
     if name in names("policy"):
-        maker, plain = get("policy", name), Kind()
-        traits = ("feedback", "sequential", "raw_only")
-        return Kind(**{trait: getattr(maker, trait, getattr(plain, trait)) for trait in traits})
+        maker, traits = get("policy", name), ("feedback", "sequential", "raw_only")
+        return Kind(**{trait: getattr(maker, trait) for trait in traits if hasattr(maker, trait)})
     if Path(name).suffix in foreign.SUFFIXES:
         return Kind(files=(name,))
     if Path(name).is_dir():
@@ -508,13 +506,10 @@ def contenders_of(
     names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _ in stages])
     if len(names) != len(pairs):
         raise InputError(f"there are {len(pairs)} policies and {len(names)} labels; give each one label")
-    contenders = []
-    for (policy, _), (stage, compensator), label in zip(pairs, stages, names, strict=True):
-        if isinstance(policy, str | Path):
-            make = maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)
-        else:
-            make = _ready(policy)
-        contenders.append(Contender(label, make, compensator))
+    contenders = [
+        Contender(label, _maker(policy, camera_noise_mm, stage), compensator)
+        for (policy, _), (stage, compensator), label in zip(pairs, stages, names, strict=True)
+    ]
     check_labels(names)
     return sorted(contenders, key=lambda contender: policy_rank(contender.label))
 
@@ -552,8 +547,11 @@ def check_labels(labels: Sequence[str]) -> None:
             raise InputError(f"two policies are called '{label}'; give each its own `label`")
 
 
-def _ready(policy: Policy) -> PolicyMaker:
-    return lambda env, seed: policy
+def _maker(policy: Given, camera_noise_mm: float, stage: str) -> PolicyMaker:
+    """Return the function that makes a contender's policy; ``stage`` is the name of its calibration, "raw" without."""
+    if not isinstance(policy, str | Path):
+        return lambda env, seed: policy
+    return maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)
 
 
 def _pair(policy: Given) -> tuple[Given, str | Path | Calibration | None]:

@@ -87,9 +87,8 @@ def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
         return _trained(path, env)
     with faults_in(path, "policy"):
         make = runpy.run_path(str(path)).get(MAKER)
-    if make is None:
-        raise InputError(f"{path} defines no {MAKER}(env, seed); let it return an object with act and reset")
-    with faults_in(path, "policy"):
+        if make is None:
+            raise InputError(f"{path} defines no {MAKER}(env, seed); let it return an object with act and reset")
         policy = make(env, seed)
     return _checked(policy, f"{MAKER} of {path}")
 
@@ -161,8 +160,8 @@ def _trained(path: Path, env: Any) -> Sb3Policy:
     if scaling is not None and model.observation_space.shape == (scaling.features,):
         return Sb3Policy(model, scaling)
     for kind in ("observation", "action"):
-        learnt, present = getattr(model, f"{kind}_space"), getattr(env, f"{kind}_space")
-        present = getattr(env, f"single_{kind}_space", present)
+        learnt = getattr(model, f"{kind}_space")
+        present = getattr(env, f"single_{kind}_space", getattr(env, f"{kind}_space"))
         if learnt.shape != present.shape or type(learnt) is not type(present):
             raise InputError(f"{path} was trained on {kind}s {learnt}, but the environment has {present}; give its own")
     return Sb3Policy(model)

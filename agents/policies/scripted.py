@@ -123,10 +123,9 @@ class ScriptedScene(ScriptedReach):
         if self._stage >= 2 and self._gaps:
             goal = self._moved(goal, np.mean(self._gaps, axis=0))
         away = goal - reading.joints
-        patience = self._PATIENCE[self._stage]
         arrived = self._at == end and (float(np.abs(away).max()) < self.NEAR or self._waited > MOST_WAITED)
         self._waited += self._at == end
-        if arrived and self._waited > patience:
+        if arrived and self._waited > self._PATIENCE[self._stage]:
             self._stage, self._waited = self._stage + 1, 0
         return np.append(self.action(away), 1.0 if self._stage >= 2 else -1.0).astype(np.float32)
 
@@ -541,7 +540,6 @@ class ScriptedHarvest:
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the next action of all joints of the machine ``(3 + 3 arms,)``."""
-        machine = self.machine
         joints, busy, fruit, hangs = self._decoded(np.asarray(observation, dtype=float))
         if hangs.any() and all(arm.fruit is None and not arm.queue for arm in self._arms):
             self._plan(joints[:3], fruit, hangs)
@@ -550,9 +548,8 @@ class ScriptedHarvest:
             mine = slice(3 + 3 * i, 6 + 3 * i)
             goals[mine] = self._goal(i, arm, joints[mine], bool(busy[i] > 0), hangs)
         share = (goals - joints) / self.task.increment
-        for i in range(machine.arms):  # swing and stretch keep step, as the plan's clearances suppose
-            both = slice(4 + 3 * i, 6 + 3 * i)
-            share[both] /= max(1.0, float(np.abs(share[both]).max()))
+        pairs = share[3:].reshape(-1, 3)[:, 1:]  # swing and stretch keep step, as the plan's clearances suppose
+        pairs /= np.maximum(1.0, np.abs(pairs).max(axis=1, keepdims=True))
         return np.asarray(share.clip(-1.0, 1.0), dtype=np.float32)
 
     def act_together(self, observations: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:

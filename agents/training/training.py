@@ -28,15 +28,8 @@ from pickenv.agents.policies.adaptive import RememberingPolicy
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.training import training_setup
 from pickenv.agents.training.training_setup import Inputs, Training
-from pickenv.base import (
-    InputError,
-    locked,
-    read_container,
-    refusing_damage,
-    torch_on_one_thread,
-    write_container,
-    write_json,
-)
+from pickenv.base import InputError, locked, torch_on_one_thread, write_json
+from pickenv.base.container import read_container, refusing_damage, write_container
 from pickenv.wrappers import Sb3Vec
 
 KIND, FORMAT = "checkpoint", 3
@@ -118,8 +111,7 @@ def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
         if set(state) != PARTS:
             raise ValueError("its state is not that of a training")
         rows = [{str(key): float(value) for key, value in row.items()} for row in header["evaluations"]]
-        inputs = {name: header["inputs"][name] for name in ("arms", "calibration")}
-        return Training(**settings), inputs, rows, state
+        return Training(**settings), {name: header["inputs"][name] for name in ("arms", "calibration")}, rows, state
 
 
 def _is_a(value: Any, kind: Any) -> bool:
@@ -162,11 +154,9 @@ def _buffer(model: Any) -> dict[str, Any]:
     if (buffer := getattr(model, "replay_buffer", None)) is None:
         return {}
     filled = buffer.buffer_size if buffer.full else buffer.pos
-    parts: dict[str, Any] = {"pos": int(buffer.pos), "full": bool(buffer.full)}
-    for key in BUFFER:
-        if hasattr(buffer, key):
-            parts[key] = _tensors(getattr(buffer, key), None if key == EPISODES else filled)
-    return parts
+    rows = {key: None if key == EPISODES else filled for key in BUFFER if hasattr(buffer, key)}
+    arrays = {key: _tensors(getattr(buffer, key), count) for key, count in rows.items()}
+    return {"pos": int(buffer.pos), "full": bool(buffer.full), **arrays}
 
 
 def _take_buffer(model: Any, parts: dict[str, Any]) -> None:

@@ -298,10 +298,10 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
     layers = [layer for layer in (*hidden, last) if isinstance(layer, torch.nn.Linear)]
     inner = env.envs.unwrapped
     arm = inner.task.plant.arm
-    record = {"training": asdict(training), "steps": int(model.num_timesteps)}
-    record |= {"versions": versions("gymnasium", "stable-baselines3", "torch")}
+    written_by = versions("gymnasium", "stable-baselines3", "torch")
     common: dict[str, Any] = {
-        **{"algorithm": training.algorithm, "arm": arm.name, "arm_fingerprint": arm.fingerprint(), "record": record},
+        **{"algorithm": training.algorithm, "arm": arm.name, "arm_fingerprint": arm.fingerprint()},
+        "record": {"training": asdict(training), "steps": int(model.num_timesteps), "versions": written_by},
         "weights": tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
         "biases": tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
     }

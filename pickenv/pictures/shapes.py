@@ -245,8 +245,7 @@ def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: 
     end = np.concatenate([corner + np.roll(edge, -1, axis=0) + [0.0, 0.0, z] for z in (0.0, 0.6 * along)])
     feet = (corner + edge) * [1.0, 1.0, 0.0] + [0.0, 0.0, ground]
     start, end = np.concatenate([start, feet]), np.concatenate([end, corner + edge])
-    slats = Rods(start, end, np.full(12, 0.008), rgba((196, 160, 110), 12))
-    return (slats,), balls, ()
+    return (Rods(start, end, np.full(12, 0.008), rgba((196, 160, 110), 12)),), balls, ()
 
 
 def fruit_colours(count: int) -> Array:
@@ -328,8 +327,7 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
     reach = np.minimum(1.0, look.sleeve / length)[:, None]
     sleeve = (start + along * reach)[outer]
     tubes = Rods(start[outer], sleeve, look.radius[outer], rgba(accent or LINK, len(sleeve)))
-    joints = spheres(start, CAP * look.radius, rgba(JOINT, len(start)))
-    return (inner, tubes), (joints,), ()
+    return (inner, tubes), (spheres(start, CAP * look.radius, rgba(JOINT, len(start))),), ()
 
 
 def arm_at_work(

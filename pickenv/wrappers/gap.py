@@ -35,8 +35,7 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, env: gym.Env[Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
         gym.Wrapper.__init__(self, env)
-        inner: Any = env.unwrapped
-        self.scaling, self._most, self._shaping = scaling, inner.task.most_action, shaping
+        self.scaling, self._most, self._shaping = scaling, env.get_wrapper_attr("task").most_action, shaping
         self.observation_space = scaling.space
         self.action_space = scaling.answers or env.action_space
         self.raw: Any = np.zeros(scaling.inputs, dtype=np.float32)

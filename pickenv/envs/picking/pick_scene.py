@@ -264,7 +264,8 @@ class PickScene:
             self.let_go()
         elif self.holds_detached:
             if believed[11] <= self.detached_at - self.orchard.station.collected_below:
-                self.collect()
+                self.collected[self.held] = True
+                self.held = None
         else:
             self.twist(share)
             self.detached_at = believed[11]
@@ -305,12 +306,6 @@ class PickScene:
         if self.held is not None:
             self.damaged[self.held] |= self.detached[self.held]
             self.held = None
-
-    def collect(self) -> None:
-        """Collect the detached fruit, which empties the gripper."""
-        assert self.held is not None
-        self.collected[self.held] = True
-        self.held = None
 
     def _push(self, contact: Array, push: Array) -> None:
         """Displace the fruit around the point ``contact`` by ``push``, (3,) each, m.

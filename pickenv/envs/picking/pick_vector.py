@@ -93,8 +93,8 @@ class PickVectorEnv(NativeVectorEnv):
         """Return all arrays that the next step depends on, for a checkpoint."""
         ahead, rngs = self._ahead, enumerate(self._rngs)
         states = [ahead[row][0] if row in ahead else rng.bit_generator.state for row, rng in rngs]
-        arrays: dict[str, NDArray[Any]] = {"elapsed": self._elapsed, "over": self._over, "armed": self._armed}
-        arrays["rngs"] = np.array([words_of_state(state) for state in states], dtype=np.uint64)
+        words = np.array([words_of_state(state) for state in states], dtype=np.uint64)
+        arrays = {"elapsed": self._elapsed, "over": self._over, "armed": self._armed, "rngs": words}
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:

@@ -12,21 +12,12 @@ from numpy.typing import ArrayLike
 from pickenv.arm import IDEAL, Array, Frame, Scalar, forward
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, standing, tool_dial
+from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, begun, standing, tool_dial
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.spaces import action_space, flat_space, given_goals, given_options, goal_space
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, OF_TASKS, Task, checked_action, make_task, refuse_unknown
-from pickenv.pictures.shapes import (
-    CUP_RADIUS,
-    arm_at_work,
-    arm_look,
-    cup_solids,
-    fruit_colours,
-    fruit_solids,
-    joined_solids,
-    sprig,
-)
+from pickenv.pictures import shapes
 from pickenv.pictures.stage import SIZE, Stage, Words, fitted_eye
 
 # A reach as a stage to draw. Units: m; mm and degrees in words.
@@ -47,15 +38,15 @@ def draw_reach(task: Task, scene: simulation.View, dark: bool) -> Stage:
         dark: Whether the background is dark.
     """
     nominal, tolerance_mm = task.plant.arm.nominal, task.tolerance_mm
-    look, base = arm_look(nominal), nominal.base.position
+    look, base = shapes.arm_look(nominal), nominal.base.position
     command, tool, fruit = np.array(scene.command), np.array(scene.tool), np.array(scene.fruit)
     axis = forward(nominal, command).rotation[:, 2]
     distance_mm, angle_deg, *_ = scene.numbers
-    solids = joined_solids(
-        arm_at_work(nominal, command, tool, axis, np.array(scene.believed)),
-        cup_solids(tool, axis, CUP_RADIUS),
-        fruit_solids(fruit[None], FRUIT, fruit_colours(1)),
-        sprig(fruit, FRUIT),
+    solids = shapes.joined_solids(
+        shapes.arm_at_work(nominal, command, tool, axis, np.array(scene.believed)),
+        shapes.cup_solids(tool, axis, shapes.CUP_RADIUS),
+        shapes.fruit_solids(fruit[None], FRUIT, shapes.fruit_colours(1)),
+        shapes.sprig(fruit, FRUIT),
     )
     words = (
         Words(f"{distance_mm:.2f} mm, {angle_deg:.2f}° from the fruit", large=True),
@@ -277,9 +268,8 @@ class ReachEnv(ArmEnv):
                 1 with `out_of_range="refuse"`, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.actions,), self.task.most_action)
-        if self._state is None:
-            raise InputError("step was called before reset; call reset first")
-        self._state = simulation.act(self._x, self.task, self._state, self._numbers(values.tolist()))
+        state = begun(self._state, "step")
+        self._state = simulation.act(self._x, self.task, state, self._numbers(values.tolist()))
         self._step += 1
         observation, reward, information = self._look(self.task.situation.value("period", self._state.drawn))
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
@@ -307,8 +297,8 @@ class ReachEnv(ArmEnv):
         if self.render_mode == "human":
             self.render()
         observation, reward = self._observe(scene)
-        information: Information = dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True))
-        information |= {
+        information: Information = {
+            **dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True)),
             "is_success": bool(scene.success),
             "pose_error": np.array(plain(scene.error)),
             "joint_command": np.array(plain(scene.command)),

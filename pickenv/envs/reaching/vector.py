@@ -117,7 +117,7 @@ class ReachVectorEnv(NativeVectorEnv):
 
         This works for environments on NumPy with an autoreset mode other than "Disabled".
         """
-        arrays: dict[str, NDArray[Any]] = {key: getattr(self, name) for key, name in STATE.items()}
+        arrays = {key: getattr(self, name) for key, name in STATE.items()}
         arrays["seeded"] = np.full(self.num_envs, self._begun)
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 

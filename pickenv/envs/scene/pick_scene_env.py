@@ -19,7 +19,7 @@ from pickenv.envs.picking.pick_arm import act_arm
 from pickenv.envs.reaching.reach import VIEW, ReachEnv
 from pickenv.envs.scene.contact_scene import CAMERAS, LARGEST, SMALLEST, ContactScene, Surroundings
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_env import RENDER_MODES, Information
+from pickenv.envs.shared.arm_env import RENDER_MODES, Information, begun
 from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
 from pickenv.envs.shared.situation import make_situation
@@ -328,9 +328,8 @@ class PickSceneEnv(ReachEnv):
             InputError: If the action has another shape or invalid numbers, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.actions,), self.task.most_action)
-        if self._state is None:
-            raise InputError("step was called before reset; call reset first")
-        self._state, self._grip, _, period = act_arm(self._x, self.task, self._state, values.tolist())
+        state = begun(self._state, "step")
+        self._state, self._grip, _, period = act_arm(self._x, self.task, state, values.tolist())
         self._step += 1
         was_held = bool(self.scene.held[0])
         observation, _, information = self._look(period)
@@ -378,14 +377,12 @@ class PickSceneEnv(ReachEnv):
         scene = self.scene
         tool = np.array(scene.tool)
         lateral, axial, _ = misalignment(scene.fruit[0] - tool[9:], tool[6:9])
-        touched, closing = bool(scene.touched[0]), self._grip > 0.0
-        if closing and touched and self._closed == (0.0, 0.0):
+        if self._grip > 0.0 and scene.touched[0] and self._closed == (0.0, 0.0):
             self._closed = 1e3 * float(lateral), 1e3 * float(axial)
-        taken = bool(scene.taken[0])
-        self._holding = self._holding + 1 if taken and not scene.held[0] else 0
-        detached, (lateral_mm, axial_mm) = not bool(scene.held[0]), self._closed
+        taken, detached = bool(scene.taken[0]), not scene.held[0]
+        self._holding = self._holding + 1 if taken and detached else 0
         information |= {"is_success": self._holding >= HELD_STEPS, "attached": taken, "detached": detached}
-        information |= {"grasp_lateral_mm": lateral_mm, "grasp_axial_mm": axial_mm}
+        information |= zip(("grasp_lateral_mm", "grasp_axial_mm"), self._closed, strict=True)
         return observation, reward, information
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
@@ -404,8 +401,7 @@ class PickSceneEnv(ReachEnv):
         return views, reward
 
     def _picture(self) -> Pixels:
-        if self._state is None:
-            raise InputError("render was called before reset; call reset first")
+        begun(self._state, "render")
         return self.scene.picture("world", SIZE, self.dark)
 
     def close(self) -> None:
