@@ -216,7 +216,7 @@ def _recorded_policy(
     moments = np.array([len(episode) for episode in episodes])
     rows, ends = np.arange(len(episodes)), moments - 1
     distance = 1e3 * np.linalg.norm(tool - fruit, axis=-1)
-    miss, picked = np.full(distance.shape, np.nan), np.zeros(distance.shape, dtype=np.int64)
+    miss = np.full(distance.shape, np.nan)
     success = column("is_success", False).astype(bool)
     if "attempted" in info:  # fruit after fruit: the gripper closes where the environment says so
         closes = np.diff(column("attempted", 0), axis=1, prepend=0) > 0
@@ -232,9 +232,7 @@ def _recorded_policy(
             taken = success[rows, ends]
         else:
             taken = miss[rows, ends] <= 1e3 * judge.tolerance
-        picked[rows, ends] = taken
-        for row, end in zip(rows, ends, strict=True):
-            picked[row, end:] = picked[row, end]
+        picked = np.where(np.arange(longest) >= ends[:, None], taken[:, None], 0)
     return RecordedPolicy(
         label=label,
         key=policy_key(label),

@@ -345,9 +345,6 @@ class ServoReach(ScriptedReach):
 # argument, so that it can be learnt (`scripts/studies/policy_search.py`). Units: m, rad, s.
 
 
-PICK_ARRIVED = 2e-4
-"""Joint error below which a joint counts as arrived, m or rad."""
-
 PASSED = 10.0
 """Factor on the arrival tolerance, for all waypoints but the fruit itself."""
 
@@ -375,7 +372,7 @@ class ScriptedPick(policy.ReachController):
         tool_speed: ArrayLike | None = None,
         *,
         gain: ArrayLike = 1.0,
-        arrived: ArrayLike = PICK_ARRIVED,
+        arrived: ArrayLike = 2e-4,
         aim: ArrayLike = (0.0, 0.0, 0.0),
         patience: ArrayLike = np.inf,
         iterations: int = 25,

@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import lru_cache, reduce
+from operator import or_
 from types import ModuleType
 
 import numpy as np
@@ -99,10 +100,7 @@ def act_arm(x: Executor, task: Task, state: ArmState, action: Scalars) -> tuple[
     setting, values = task.situation, state.drawn
     (*moves, gripper), sent = situation.late(x, setting, "delay", values, state.sent, action)
     target = simulation.move(x, task, state.target, situation.in_period(x, setting, values, moves))
-    away = [abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)]
-    stirred = away[0]
-    for joint in away[1:]:
-        stirred = stirred | joint
+    stirred = reduce(or_, (abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)))
     return state._replace(target=target, sent=sent), gripper, stirred, setting.value("period", values)
 
 

@@ -425,9 +425,6 @@ STILL = 1.0
 MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
-PICK_FEEDBACK = ("encoders", "gripper")
-"""Values of `feedback`. With "gripper" the policy observes the position of each held fruit in the gripper."""
-
 MOST_FELT = 0.1
 """Bound of the observed position of a fruit in the gripper. The gripper takes no fruit that is so far off."""
 
@@ -462,7 +459,7 @@ def make_pick(
     """
     check_number("fruit", fruit, positive=True)
     check_count("looks", looks)
-    check_choice("feedback", feedback, PICK_FEEDBACK)
+    check_choice("feedback", feedback, ("encoders", "gripper"))
     check_number("grip_noise_mm", grip_noise_mm)
     if idle := [name for name in signature(make_task).parameters if name in arguments and name not in OF_THE_ARM]:
         raise InputError(f"`{idle[0]}` has no effect on picking; leave it out")

@@ -175,11 +175,10 @@ class TorchBatch(Batch):
         """
         x, plant = self.x, plant or self.plant
         state, scene = simulation.look(x, self.task, plant, self.state_of(columns), commands, keys, when, dt)
-        parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
         reward = [] if self.goal_dict else [simulation.true_reward(x, self.task, scene)]
         vectors = scene.vectors[:-3] if self.poses else ()
         memory = [value.to(self.dtype) for value in state.columns[self.fixed :]]
-        return [*memory, *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
+        return [*memory, *chain.from_iterable(self.parts(scene)), *reward, *scene.numbers, *vectors]
 
     def _outcome(self, out: Columns, fruit: Columns) -> Views:
         """Make `Views` from the fruit's position and the columns of `_shown`, without the columns of the state."""

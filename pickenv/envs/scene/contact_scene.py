@@ -18,20 +18,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import (
-    Arm,
-    Array,
-    Frame,
-    ModelArm,
-    Plant,
-    Pose,
-    arm_in_mujoco,
-    frame_of,
-    frame_within,
-    mjcf_text,
-    quaternion,
-    rotation_matrix,
-)
+from pickenv.arm import Arm, Array, Frame, Plant, Pose, frame_of, frame_within, rotation_matrix
+from pickenv.arm.files.mjcf import mjcf_text
+from pickenv.arm.files.model_arm import ModelArm, arm_in_mujoco, quaternion
 from pickenv.base import GRAVITY, InputError, is_file, require
 from pickenv.orchard.fruit import Branch, Detachment, FruitSize, fruit_masses, sample_strength
 from pickenv.orchard.gripper import Gripper, Suction

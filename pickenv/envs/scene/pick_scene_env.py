@@ -39,9 +39,6 @@ from pickenv.orchard.gripper import misalignment
 from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
 
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos", "pixels_environment_state_agent_pos")
-WITHOUT_USE = ("reward", "tolerance_mm", "angle_tolerance_deg", "end_on_success")
-"""Arguments of `pickenv/Reach-v0` that are refused, since they would have no effect."""
-
 USUAL_PLANT = "ideal:ur5e"
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 """Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
@@ -191,8 +188,9 @@ class PickSceneEnv(ReachEnv):
         **arguments: Any,
     ) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
-        if useless := [name for name in WITHOUT_USE if name in arguments]:
-            raise InputError(f"{useless[0]} has no effect where success is a picked fruit; leave it out")
+        for name in ("reward", "tolerance_mm", "angle_tolerance_deg", "end_on_success"):
+            if name in arguments:
+                raise InputError(f"{name} has no effect where success is a picked fruit; leave it out")
         check_choice("executor", arguments.pop("executor", "floats"), ("floats",))
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):

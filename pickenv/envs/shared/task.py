@@ -16,19 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import (
-    Array,
-    Frame,
-    Geometry,
-    Plant,
-    draw_plants,
-    forward,
-    joint_jacobian,
-    load_plant,
-    plant_at,
-    plant_count,
-)
-from pickenv.arm.kinematics.forward import Chain, Scalar, chain_of, frames
+from pickenv.arm import Array, Geometry, Plant, draw_plants, forward, joint_jacobian, load_plant, plant_at, plant_count
+from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, frames
 from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE
 from pickenv.arm.plant.plant_file import class_of, draw_arms
@@ -392,7 +381,8 @@ def refuse_unknown(env: Any, arguments: Iterable[str], *makers: Callable[..., An
     """
     takers = (*(vars(kind)["__init__"] for kind in type(env).__mro__ if "__init__" in vars(kind)), *makers)
     parameters = [parameter for taker in takers for parameter in signature(taker).parameters.values()]
-    taken = sorted({p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)} - OF_CLASSES)
+    named = {p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+    taken = sorted(named - {"self", "task"})  # which classes and the ladder have beside arguments of environments
     for name in arguments:
         if name not in taken:
             raise InputError(unknown("argument", name, taken))
@@ -413,9 +403,6 @@ def refuse_idle(maker: Callable[..., Any], values: Mapping[str, Any], where: str
 
 OF_TASKS = (make_task, make_situation)
 """Functions that take the arguments of tasks of all arms."""
-
-OF_CLASSES = {"self", "task"}
-"""Parameters of classes and of the ladder that are no arguments of environments."""
 
 
 def checked_region(given: Any) -> tuple[Components, Components]:
