@@ -228,10 +228,8 @@ def _recorded_policy(
         if "pose_error" in info and plant is not None:
             error = column("pose_error", None).astype(float)[rows, ends]
             taken = chance < _capture(judge, Pose(tool[rows, ends], rotation[rows, ends]), fruit[rows, ends], error)
-        elif "is_success" in info:
-            taken = success[rows, ends]
         else:
-            taken = miss[rows, ends] <= 1e3 * judge.tolerance
+            taken = success[rows, ends] if "is_success" in info else distance[rows, ends] <= 1e3 * judge.tolerance
         picked = np.where(np.arange(longest) >= ends[:, None], taken[:, None], 0)
     return RecordedPolicy(
         label=label,

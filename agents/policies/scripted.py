@@ -533,7 +533,6 @@ class ScriptedHarvest:
     def reset(self) -> None:
         """Forget the last zone."""
         self._arms = [_Arm() for _ in range(self.machine.arms)]
-        self._work: Work | None = None
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the next action of all joints of the machine ``(3 + 3 arms,)``."""
@@ -570,10 +569,9 @@ class ScriptedHarvest:
         return joints, values[n : n + machine.arms], machine.frame3(joints[:3]) + away, slots[:, 3] > 0.5
 
     def _plan(self, master: Array, fruit: Array, hangs: NDArray[np.bool_]) -> None:
-        work = zone_work(self.machine, master, fruit)
-        work.reached[:, ~hangs] = False
-        self._work = work
-        for arm, queue in zip(self._arms, assign(work, "search"), strict=True):
+        self._work: Work = zone_work(self.machine, master, fruit)
+        self._work.reached[:, ~hangs] = False
+        for arm, queue in zip(self._arms, assign(self._work, "search"), strict=True):
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
@@ -586,12 +584,11 @@ class ScriptedHarvest:
             cutting: Whether the slave's blade is closing.
             hangs: Flags of the fruit that hangs in reach.
         """
-        home, work = self.machine.slave_home, self._work
         if arm.fruit is None:
-            if not arm.queue or work is None:
+            if not arm.queue:
                 return here
             arm.fruit, arm.phase, arm.waited = arm.queue.pop(0), "travel", 0
-        assert work is not None
+        home, work = self.machine.slave_home, self._work
         at, low = work.joints[i, arm.fruit], float(work.approach[arm.fruit])
         below = np.array([at[0] - low, *home[1:]])
         if arm.phase == "travel" and np.abs(here - below).max() < SLAVE_ARRIVED and self._clear(i, arm.fruit):
@@ -612,7 +609,6 @@ class ScriptedHarvest:
 
     def _clear(self, i: int, fruit: int) -> bool:
         """Return whether slave ``i`` can go out to ``fruit``, indices from 0, without hitting a slave that is out."""
-        assert self._work is not None
         return not any(
             arm.fruit is not None and arm.phase != "travel" and self._work.conflict[i, fruit, k, arm.fruit]
             for k, arm in enumerate(self._arms)

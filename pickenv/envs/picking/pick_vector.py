@@ -191,6 +191,7 @@ class PickBatch(NumpyArms):
         super().__init__(task, count)
         self.make_plants()
         self.make_room(0, 0)
+        self.remake()
         self.canopies = Canopies(task, orchard, count)
 
     def restart(

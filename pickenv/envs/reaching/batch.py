@@ -178,6 +178,7 @@ class NumpyBatch(NumpyArms, Batch):
         super().__init__(task, count, goal_dict, poses)
         self.make_plants()
         self.make_room(12, 3)
+        self.remake()
 
     def advance(self, actions: Array, moments: Words, compensate: Compensators | None) -> Views:
         """Act in all environments; see `Batch.advance`."""

@@ -18,17 +18,13 @@ from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects
 from pickenv.envs.shared.compiled_look import TRACER, LatestCompiled, with_numbers
-from pickenv.envs.shared.task import Compensators, Task, commanded
+from pickenv.envs.shared.task import Compensators, commanded
 
 
 class CompiledBatch(NumpyBatch):
     """The state of N reach tasks, with compiled steps; arguments as in `pickenv.envs.reaching.batch.Batch`."""
 
     remade = ("_table", "_arms", "_code", "_fast")
-
-    def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
-        super().__init__(task, count, goal_dict, poses)
-        self.remake()
 
     def remake(self) -> None:
         """Copy the state into one array and the true arms' numbers into another, and discard all compiled code."""

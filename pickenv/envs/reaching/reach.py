@@ -15,6 +15,7 @@ from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, begun, standing, tool_dial
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
+from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.spaces import action_space, flat_space, given_goals, given_options, goal_space
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, OF_TASKS, Task, checked_action, make_task, refuse_unknown
 from pickenv.pictures import shapes
@@ -255,9 +256,9 @@ class ReachEnv(ArmEnv):
             self._use_arm(task.given_arm(arm))
         start = self._start(options.get("start_joints"))
         goal = self._wanted(options)
-        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
+        state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
         self._step = 0
-        observation, _, information = self._look(0.0)
+        observation, _, information = self._look(state, 0.0)
         return observation, information
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
@@ -268,10 +269,9 @@ class ReachEnv(ArmEnv):
                 1 with `out_of_range="refuse"`, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.actions,), self.task.most_action)
-        state = begun(self._state, "step")
-        self._state = simulation.act(self._x, self.task, state, self._numbers(values.tolist()))
+        state = simulation.act(self._x, self.task, begun(self._state, "step"), self._numbers(values.tolist()))
         self._step += 1
-        observation, reward, information = self._look(self.task.situation.value("period", self._state.drawn))
+        observation, reward, information = self._look(state, self.task.situation.value("period", state.drawn))
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
 
     def _stage(self) -> Stage | None:
@@ -289,10 +289,9 @@ class ReachEnv(ArmEnv):
         reward: Scalar = simulation.true_reward(self._x, self.task, scene)
         return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 
-    def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
-        """Hold the present joint target for ``dt`` seconds, and return observation, reward and `info`."""
-        assert self._state is not None
-        plain, (scene, _) = self._plain, self._looked(self._state, self._step, dt)
+    def _look(self, state: ArmState, dt: Scalar) -> tuple[Any, float, Information]:
+        """Hold the joint target of ``state`` for ``dt`` seconds, and return observation, reward and `info`."""
+        plain, (scene, _) = self._plain, self._looked(state, self._step, dt)
         self._scene = scene
         if self.render_mode == "human":
             self.render()

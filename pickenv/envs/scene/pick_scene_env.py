@@ -326,11 +326,10 @@ class PickSceneEnv(ReachEnv):
             InputError: If the action has another shape or invalid numbers, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.actions,), self.task.most_action)
-        state = begun(self._state, "step")
-        self._state, self._grip, _, period = act_arm(self._x, self.task, state, values.tolist())
+        state, self._grip, _, period = act_arm(self._x, self.task, begun(self._state, "step"), values.tolist())
         self._step += 1
         was_held = bool(self.scene.held[0])
-        observation, _, information = self._look(period)
+        observation, _, information = self._look(state, period)
         success = information["is_success"]
         reward = float(success) + BONUS * float(information["detached"] and was_held) - STEP_COST
         return observation, reward, success, False, information
@@ -370,8 +369,8 @@ class PickSceneEnv(ReachEnv):
         self._grip, self._holding, self._closed = -1.0, 0, (0.0, 0.0)
         self.scene.begin(plant, joints, tool, np.array(goal[9:]) + apart, rng)
 
-    def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
-        observation, reward, information = super()._look(dt)
+    def _look(self, state: ArmState, dt: Scalar) -> tuple[Any, float, Information]:
+        observation, reward, information = super()._look(state, dt)
         scene = self.scene
         tool = np.array(scene.tool)
         lateral, axial, _ = misalignment(scene.fruit[0] - tool[9:], tool[6:9])

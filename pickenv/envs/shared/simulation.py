@@ -386,9 +386,8 @@ def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Sca
 
     For a task without attitude only the distance counts.
     """
-    if not task.attitude:
-        return distance_mm <= task.tolerance_mm
-    return (distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg)
+    near = distance_mm <= task.tolerance_mm
+    return near & (angle_deg <= task.angle_tolerance_deg) if task.attitude else near
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Scalars) -> Scalar:

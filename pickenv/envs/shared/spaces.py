@@ -44,10 +44,9 @@ class PlainSpec:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        paths = {} if spec is None else {key: str(p) for key, p in spec.kwargs.items() if isinstance(p, PurePath)}
-        if spec is not None and paths:
+        if spec is not None:
             spec = copy.copy(spec)
-            spec.kwargs = spec.kwargs | paths
+            spec.kwargs = spec.kwargs | {key: str(p) for key, p in spec.kwargs.items() if isinstance(p, PurePath)}
         self._spec = spec
 
 

@@ -118,7 +118,7 @@ UPRIGHT, TILTED_POSES = 0.01, 2**10
 this."""
 
 Compensate = Callable[[Array], Array]
-"""A function that maps joint targets ``(..., n)`` to joint commands ``(..., n)``, rad or m."""
+"""A function that maps the nominal arm's joint targets to the real arm's joint commands, ``(..., n)`` each (rad, m)."""
 
 Compensators = Compensate | Sequence[Compensate]
 """A compensator for all environments of a vector, or one for each of them."""
