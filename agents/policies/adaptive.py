@@ -34,9 +34,6 @@ from pickenv.wrappers.same_arm import scaled_joints
 CALIBRATED_PRIOR = 0.2
 """Prior standard deviation of the parameters' errors after a calibration, as a share of their tolerances."""
 
-ARRIVED = 0.02
-"""An arm counts as standing still if its largest action is below this share of a joint increment."""
-
 
 class LookingReach(ScriptedReach):
     """Base class of reach policies that learn each arm's errors from the camera at past fruit.
@@ -44,10 +41,13 @@ class LookingReach(ScriptedReach):
     The policy drives to corrected joint targets, and averages the camera's measurements while the arm stands there. It
     learns from the average when the next episode begins. Each observation of a batch belongs to a different arm.
     Subclasses define how the arms are modelled, corrected and learnt: `meet`, `corrected` and `learn`.
+
+    Attributes:
+        called: Kind of the policy, as error messages name it.
+        ARRIVED: An arm counts as standing still if its largest action is below this share of a joint increment.
     """
 
-    called = "remembering"
-    """Kind of the policy, as error messages name it."""
+    called, ARRIVED = "remembering", 0.02
 
     def __init__(self, env: Any) -> None:
         """Read the nominal arm from ``env``."""
@@ -79,7 +79,7 @@ class LookingReach(ScriptedReach):
             self._joints: Array = np.zeros_like(reading.joints)
             self._sum: Array = np.zeros_like(camera)
         action = self.action(self._wanted - self.commanded(reading.joints))
-        arrived = (np.abs(action).max(axis=-1) < ARRIVED) & self.settled
+        arrived = (np.abs(action).max(axis=-1) < self.ARRIVED) & self.settled
         self._joints = np.where(arrived[:, None], reading.joints, self._joints)
         self._sum += np.where(arrived[:, None], reading.seen - camera, 0.0)
         self._count += arrived

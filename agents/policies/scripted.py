@@ -84,16 +84,27 @@ class ScriptedScene(ScriptedReach):
     It uses the state observation and the nominal arm. With `feedback="camera"` it stops short of the fruit and
     measures the mean difference between the camera's gap to the fruit and the believed gap. It then corrects its target
     by this difference.
+
+    Attributes:
+        FAR: Position of the tool at the start, along its axis, m at full scale, negative short of the fruit.
+        BEFORE: The same position at the stop.
+        PRESS: The same position at the end of the advance.
+        AWAY: The same position at the end of the retreat.
+        STAND: Number of steps for which the arm stands at the stop short of the fruit.
+        GRIP: Number of steps for which the arm grips.
+        SLOW: Distance per step near the fruit, m at full scale.
+        NEAR: Joint error below which joints have arrived, rad or m.
+        SETTLED: Number of steps for which the arm stands still before the policy measures the gap to the fruit.
+        STRAY: Largest position error of a move that keeps the tool's attitude, as a share of the move. If the error is
+            larger, the attitude may change.
+        MOST_WAITED: Number of steps after which the policy goes on even if the joints have not arrived.
     """
 
     FAR, BEFORE, PRESS, AWAY = -0.2, -0.08, 0.003, -0.4
-    """Positions of the tool along its axis, m at full scale, negative short of the fruit. They are the start, the stop,
-    the end of the advance, and the end of the retreat."""
     STAND, GRIP = 40, 10
-    """Number of steps for which the arm stands at the stop short of the fruit, and for which it grips."""
     _PATIENCE = (0, STAND, 0, GRIP, np.inf)
     SLOW, NEAR = 0.003, 2e-3
-    """Distance per step near the fruit, m at full scale, and joint error below which joints have arrived, rad or m."""
+    SETTLED, STRAY, MOST_WAITED = 16, 0.01, 60
 
     def __init__(self, env: Any) -> None:
         """Read the arm from ``env``."""
@@ -118,12 +129,12 @@ class ScriptedScene(ScriptedReach):
             goal = self._along(self._wanted, self._at * scale)
         else:
             goal = self._drawn(reading.joints, min(self._at, 0.0) * scale)
-        if self._stage == 1 and self._waited > SETTLED and (gap := self._gap(observation, reading)) is not None:
+        if self._stage == 1 and self._waited > self.SETTLED and (gap := self._gap(observation, reading)) is not None:
             self._gaps.append(gap)
         if self._stage >= 2 and self._gaps:
             goal = self._moved(goal, np.mean(self._gaps, axis=0))
         away = goal - reading.joints
-        arrived = self._at == end and (float(np.abs(away).max()) < self.NEAR or self._waited > MOST_WAITED)
+        arrived = self._at == end and (float(np.abs(away).max()) < self.NEAR or self._waited > self.MOST_WAITED)
         self._waited += self._at == end
         if arrived and self._waited > self._PATIENCE[self._stage]:
             self._stage, self._waited = self._stage + 1, 0
@@ -168,7 +179,7 @@ class ScriptedScene(ScriptedReach):
         """
         jacobian = joint_jacobian(self.geometry, joints)
         step = truncated_inverse(jacobian) @ np.concatenate([shift, np.zeros(3)])
-        if np.linalg.norm(jacobian[:3] @ step - shift) > STRAY * np.linalg.norm(shift):  # the attitude gives way
+        if np.linalg.norm(jacobian[:3] @ step - shift) > self.STRAY * np.linalg.norm(shift):  # the attitude gives way
             back = truncated_inverse(jacobian[:3])
             step, free = back @ shift, np.eye(len(joints)) - back @ jacobian[:3]
             step = step - free @ (truncated_inverse(jacobian[3:] @ free) @ (jacobian[3:] @ step))
@@ -217,15 +228,19 @@ class ServoScene(policy.ReachController):
     (`feedback="camera"`). The tool first moves sideways until its axis points at the fruit. It then advances along this
     axis, and retreats once the cup holds the fruit. Without delays the action depends on the present observation only,
     so that a network can learn it (`clone`).
+
+    Attributes:
+        SHARE: Share of the remaining gap that one step removes.
+        MOST: Largest move of one step, m at full scale.
+        TURNS: Largest turn of one step, rad.
+        PRESS: Distance of the aim beyond the fruit, m at full scale.
+        BACK: Retreat per step, m at full scale.
+        FUNNEL: Two numbers that set the lateral distance from tool axis to fruit at which the advance slows to 1/e. It
+            is the larger of two: the first number, m at full scale, and the second number times the remaining gap.
     """
 
     SHARE, MOST, TURNS = 0.25, 0.015, 0.03
-    """Share of the remaining gap that one step removes, largest move of one step, m at full scale, and largest turn of
-    one step, rad."""
     PRESS, BACK, FUNNEL = 0.01, -0.012, (0.004, 0.25)
-    """`PRESS` is the distance of the aim beyond the fruit and `BACK` the retreat per step, both m at full scale.
-    `FUNNEL` sets the lateral distance from tool axis to fruit at which the advance slows to 1/e. This distance is the
-    larger of two: the first number, m at full scale, and the second number times the remaining gap."""
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Return the next action ``(n + 1,)``, with suction on.
@@ -249,16 +264,6 @@ class ServoScene(policy.ReachController):
         joints = truncated_inverse(joint_jacobian(self.geometry, reading.joints)) @ moves
         return np.append(self.action(joints), 1.0).astype(np.float32)
 
-
-SETTLED = 16
-"""Number of steps for which the arm stands still before the policy measures the gap to the fruit."""
-
-STRAY = 0.01
-"""Largest position error of a move that keeps the tool's attitude, as a share of the move. If the error is larger, the
-attitude may change."""
-
-MOST_WAITED = 60
-"""Number of steps after which the policy goes on even if the joints have not arrived."""
 
 # The oracle: a policy that knows the true arm. What remains with it, no calibration can remove.
 
@@ -345,12 +350,6 @@ class ServoReach(ScriptedReach):
 # argument, so that it can be learnt (`scripts/studies/policy_search.py`). Units: m, rad, s.
 
 
-PASSED = 10.0
-"""Factor on the arrival tolerance, for all waypoints but the fruit itself."""
-
-GENTLE = 0.75
-"""Tool speed as a share of the speed that bruises fruit; the margin is for swing and following error."""
-
 HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
 
@@ -362,7 +361,13 @@ class ScriptedPick(policy.ReachController):
     """Scripted policy for `pickenv/Pick-v0`: approach each fruit from below, stand still for `settle` s, and grasp.
 
     Numeric arguments except ``iterations`` take one value, or one value for each environment of a vector.
+
+    Attributes:
+        PASSED: Factor on the arrival tolerance, for all waypoints but the fruit itself.
+        GENTLE: Tool speed as a share of the speed that bruises fruit; the margin is for swing and following error.
     """
+
+    PASSED, GENTLE = 10.0, 0.75
 
     def __init__(
         self,
@@ -394,7 +399,7 @@ class ScriptedPick(policy.ReachController):
         """
         super().__init__(env)
         self.period: float = self.env.task.situation.period.high  # the increments are those of this period
-        gentle = GENTLE * self.env.orchard.station.bruise_speed
+        gentle = self.GENTLE * self.env.orchard.station.bruise_speed
         self.settle, self.approach, self.aim = (np.asarray(value, dtype=float) for value in (settle, approach, aim))
         self.tool_speed = np.asarray(gentle if tool_speed is None else tool_speed, dtype=float)
         self.gain, self.arrived, self.patience = (np.asarray(value, dtype=float) for value in (gain, arrived, patience))
@@ -426,7 +431,7 @@ class ScriptedPick(policy.ReachController):
             some = 0 if single else new
             self._plan(some, joints[some], fruit[some], turn[some])
         for _ in (OUT, BELOW):
-            near = self._away(joints, self._way[rows, self._place]) < self.arrived * PASSED
+            near = self._away(joints, self._way[rows, self._place]) < self.arrived * self.PASSED
             self._place += seeking & (self._place < AT) & near
         goals = self._way[rows, np.where(off, BELOW, self._place)]
         # Standing still is asked of the command: corrections smaller than the encoders' counts would never end.
@@ -502,12 +507,6 @@ class OraclePick(ScriptedPick):
 # the observation alone, and works for the Gymnasium environment and for PettingZoo's.
 
 
-SLAVE_ARRIVED = 1e-3
-"""Joint error below which a joint of a slave (picking arm) counts as arrived, m or rad."""
-PATIENCE = 3
-"""Number of control periods that a raised cup waits for its sensor before it gives up."""
-
-
 @dataclass(eq=False)
 class _Arm:
     """State of one slave (picking arm): indices of its fruit still to pick, its present fruit, and the pick's phase."""
@@ -522,7 +521,13 @@ class ScriptedHarvest:
     """Scripted policy for `pickenv/Harvest-v0` that drives every slave (picking arm) through its planned picks.
 
     A slave goes out to a fruit only if it cannot collide with another slave that is out at a fruit.
+
+    Attributes:
+        ARRIVED: Joint error below which a joint of a slave counts as arrived, m or rad.
+        PATIENCE: Number of control periods that a raised cup waits for its sensor before it gives up.
     """
+
+    ARRIVED, PATIENCE = 1e-3, 3
 
     def __init__(self, env: Any) -> None:
         """Read the machine from ``env``, a `pickenv/Harvest-v0` of Gymnasium or PettingZoo, wrapped or not."""
@@ -591,18 +596,18 @@ class ScriptedHarvest:
         home, work = self.machine.slave_home, self._work
         at, low = work.joints[i, arm.fruit], float(work.approach[arm.fruit])
         below = np.array([at[0] - low, *home[1:]])
-        if arm.phase == "travel" and np.abs(here - below).max() < SLAVE_ARRIVED and self._clear(i, arm.fruit):
+        if arm.phase == "travel" and np.abs(here - below).max() < self.ARRIVED and self._clear(i, arm.fruit):
             arm.phase = "out"
         out = np.array([at[0] - low, *at[1:]])
-        if arm.phase == "out" and np.abs(here - out).max() < SLAVE_ARRIVED:
+        if arm.phase == "out" and np.abs(here - out).max() < self.ARRIVED:
             arm.phase = "rise"
         if arm.phase == "rise":
-            arm.waited += cutting or abs(here[0] - at[0]) < SLAVE_ARRIVED
-            if not cutting and (arm.waited > PATIENCE or not hangs[arm.fruit]):
+            arm.waited += cutting or abs(here[0] - at[0]) < self.ARRIVED
+            if not cutting and (arm.waited > self.PATIENCE or not hangs[arm.fruit]):
                 arm.phase = "back"
         if arm.phase == "back":
             drawn_in = np.array([here[0], *home[1:]])
-            if np.abs(here - drawn_in).max() < SLAVE_ARRIVED:
+            if np.abs(here - drawn_in).max() < self.ARRIVED:
                 arm.fruit = None
             return drawn_in
         return {"travel": below, "out": out, "rise": np.asarray(at)}[arm.phase]

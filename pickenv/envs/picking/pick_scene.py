@@ -150,7 +150,8 @@ class PickScene:
 
     Attributes:
         orchard: The orchard, the camera and the gripper.
-        fruit: Records of all fruit (n,); the attributes from `rest` to `damaged` are fields of it.
+        fruit: Records of all fruit (n,), which the scene changes in place: an array of its own, or a part of an array
+            of many canopies. The attributes from `rest` to `damaged` are fields of it.
         rest: Where each fruit hangs at rest, m, shape (n, 3).
         seen: Where the camera saw the fruit, m, shape (n, 3).
         noise: Error of the gripper when it measures the fruit's position, m, shape (n, 3).
@@ -180,8 +181,6 @@ class PickScene:
         self.held: int | None = None
         self.miss, self.grip, self.detached_at = (0.0, 0.0), np.zeros(3), 0.0
         self.fruit = fruit
-        """Array of all fruit: the scene's own array, or a part of an array of many canopies. The scene changes it in
-        place."""
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         """Return the field ``name`` of `fruit`."""

@@ -80,9 +80,9 @@ class PickVectorEnv(NativeVectorEnv):
         self._bounds = observations.low, observations.high
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
+        # Starts of next episodes that are drawn already, by index of the environment (from 0). Each is a pair: the
+        # state of the environment's random generator before the draw, and the start.
         self._ahead: dict[int, tuple[Any, pick_scene.PickStart]] = {}
-        """Starts of next episodes that are drawn already, by index of the environment (from 0). Each is a pair: the
-        state of the environment's random generator before the draw, and the start."""
 
     @property
     def plant(self) -> Plant:

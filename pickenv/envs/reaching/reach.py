@@ -223,8 +223,7 @@ class ReachEnv(ArmEnv):
     * v0: First version.
     """
 
-    task_of: Callable[..., Task] = staticmethod(make_task)
-    """Function that makes the task from the environment's arguments."""
+    task_of: Callable[..., Task] = staticmethod(make_task)  # from the environment's arguments
 
     def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""

@@ -162,10 +162,10 @@ class PickSceneEnv(ReachEnv):
     * v0: First version.
     """
 
+    # Starts with `within_mm`, at full scale. `before` is the range of the tool's distance to the fruit along its axis,
+    # m. The largest distance across the axis is `beside[0]`, m, plus `beside[1]` times the distance along it. `turned`
+    # is the standard deviation per axis of the attitude, rad.
     before, beside, turned = (0.06, 0.3), (0.02, 0.35), 0.1
-    """Starts with `within_mm`, at full scale. `before` is the range of the tool's distance to the fruit along its axis,
-    m. The largest distance across the axis is `beside[0]`, m, plus `beside[1]` times the distance along it. `turned` is
-    the standard deviation per axis of the attitude, rad."""
 
     def __init__(
         self,

@@ -230,12 +230,13 @@ class NumpyArms(ArmBatch):
 
     Arms are simulated in blocks that fit into the processor's cache, so that the time per arm does not grow with the
     number of arms.
+
+    Attributes:
+        block: Number of arms in a block. A component then takes 16 KiB; a core's first-level cache holds a few of them.
     """
 
     x = NUMPY
     block = 2048
-    """Number of arms in a block. A component then takes 16 KiB; a core's first-level cache holds a few of them."""
-
     remade: tuple[str, ...] = ("_plants",)
 
     def make_plants(self) -> None:
