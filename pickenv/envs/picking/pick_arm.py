@@ -24,16 +24,19 @@ from pickenv.envs.shared.task import Task, inexact
 # Which points an arm reaches from below with its tool upright: where fruit can be picked. Base frame, m.
 
 
-ITERATIONS = 8
-"""Number of steps of the inverse kinematics that decides whether a point is in reach. With 15 steps, the decisions on
-4000 points are the same."""
-
 UP = np.array([0.0, 0.0, 1.0])
 """Direction in which the tool approaches a fruit, and in which it points there, base frame."""
 
 
 class Reach:
-    """Test whether the nominal arm, tool upright, reaches both a point and the point ``approach`` m below it."""
+    """Test whether the nominal arm, tool upright, reaches both a point and the point ``approach`` m below it.
+
+    Attributes:
+        ITERATIONS: Number of steps of the inverse kinematics that decides whether a point is in reach. With 15 steps,
+            the decisions on 4000 points are the same.
+    """
+
+    ITERATIONS = 8
 
     def __init__(self, geometry: Geometry, approach: float) -> None:
         """Sample the arm's upright poses once; each test then starts from the sampled pose nearest to its point."""
@@ -58,7 +61,7 @@ class Reach:
             self.joints[nearest],
             position_tolerance=5e-4,
             attitude_tolerance=0.02,
-            max_iterations=ITERATIONS,
+            max_iterations=self.ITERATIONS,
             restarts=0,
         )
         at, below = solution.reached.reshape(2, -1)

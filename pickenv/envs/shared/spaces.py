@@ -189,13 +189,6 @@ def spread_poses(geometry: Geometry) -> tuple[Array, Pose]:
     return joints, forward(geometry, joints)
 
 
-SMALLEST = 1e-6
-"""Smallest size of a gap, as a share of `Scaling.near` and `Scaling.near_turn`; smaller gaps count as this size."""
-
-ROUNDING = 1e-3
-"""Margin for rounding in the bounds of observed numbers whose magnitude is at most one."""
-
-
 class Rescaling(ABC):
     """Formulas that turn an environment's observations into a policy's, and a policy's actions into the environment's.
 
@@ -278,7 +271,11 @@ class Scaling(Rescaling):
         near_turn: Attitude gap below which actions shrink in proportion to it, rad.
         tool: Count of the numbers of an action that moves the tool: 6, or 3 without attitude. It is 0 if actions
             move joints. A network that moves the tool does not see the joints.
+        SMALLEST: Smallest size of a gap, as a share of `near` and `near_turn`; smaller gaps count as this size.
+        ROUNDING: Margin for rounding in the bounds of observed numbers whose magnitude is at most one.
     """
+
+    SMALLEST, ROUNDING = 1e-6, 1e-3
 
     joints: int
     camera: bool = False
@@ -303,7 +300,7 @@ class Scaling(Rescaling):
     def space(self) -> spaces.Box:
         """Space of the observations that the networks see."""
         joints, gaps = ([], self.tool) if self.tool else ([1.0] * self.joints, 6)
-        high = [*joints, *[1.0 + ROUNDING] * gaps, -math.log10(SMALLEST) / 2.0]
+        high = [*joints, *[1.0 + self.ROUNDING] * gaps, -math.log10(self.SMALLEST) / 2.0]
         return spaces.Box(-np.array(high, np.float32), np.array(high, np.float32), dtype=np.float32)
 
     @property
@@ -331,7 +328,7 @@ class Scaling(Rescaling):
         """
         gap, turn = self.gap(values, xp)
         far, turned = vector_length(gap) / self.near, vector_length(turn) / self.near_turn
-        return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), SMALLEST, None)
+        return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), self.SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
         """Compute the factor ``(..., 1)``, at most 1, by which a network's actions at observations are multiplied.
