@@ -595,9 +595,7 @@ def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
 
     ``policies`` has the name of each contender's policy, and ``stages`` the name of its calibration, "raw" without one.
     """
-    if len(policies) == 1:
-        return [policies[0] if stages[0] == "raw" else stages[0]]
-    if len(set(policies)) == 1:
+    if len(set(policies)) == 1 and (len(policies) > 1 or stages[0] != "raw"):
         return list(stages)
     if len(set(stages)) == 1:
         return list(policies)

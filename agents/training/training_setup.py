@@ -266,13 +266,11 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     goals = isinstance(inner, ReachVectorEnv) and inner.goal_dict
     if goals and training.algorithm == "ppo":
         raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
-    if remembering is not None:
-        env = Sb3Vec(inner)
-    elif isinstance(inner, PickVectorEnv):
-        env = Sb3Vec(ToolSteppingVector(inner, **settings))
-    else:
-        scaled = goals or isinstance(inner, ReachToolVectorEnv)
-        env = Sb3Vec(inner if scaled else GapScalingVector(inner, training.scaled_actions))
+    if isinstance(inner, PickVectorEnv):
+        inner = ToolSteppingVector(inner, **settings)
+    elif remembering is None and not goals and not isinstance(inner, ReachToolVectorEnv):
+        inner = GapScalingVector(inner, training.scaled_actions)
+    env = Sb3Vec(inner)
     if goals:
         parameters["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
         parameters["replay_buffer_class"] = HerReplayBuffer
@@ -391,13 +389,12 @@ def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
 
 
 def _value(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    if value.startswith("lin_"):
-        start = float(value[4:])
+    text = value if isinstance(value, str) else ""
+    if text.startswith("lin_"):
+        start = float(text[4:])
         return lambda remaining: remaining * start  # a schedule that falls evenly to zero
-    if value.startswith("dict("):
-        call = ast.parse(value, mode="eval").body
+    if text.startswith("dict("):
+        call = ast.parse(text, mode="eval").body
         assert isinstance(call, ast.Call)
         return {word.arg: ast.literal_eval(word.value) for word in call.keywords}
     return value

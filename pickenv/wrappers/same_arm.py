@@ -41,9 +41,6 @@ MOST_SEEN = 20.0
 SAME_ARM_REWARDS = ("measured", "true")
 """Kinds of reward for a pick: from the gap that the camera measured, or from the true gap, which no real arm knows."""
 
-LONGEST_LOOK = 59
-"""Largest number of steps that the arm may stay at a fruit, since the environment's own time limit is 60."""
-
 
 @dataclass(frozen=True)
 class PickMemory:
@@ -126,7 +123,13 @@ class _Run:
     """The present runs of several arms. Arrays have one row per arm.
 
     The seed of an arm's row and the number of poses drawn with the seed determine the arm's next pose.
+
+    Attributes:
+        LONGEST_LOOK: Largest number of steps that the arm may stay at a fruit, since the environment's own time limit
+            is 60.
     """
+
+    LONGEST_LOOK = 59
 
     def __init__(
         self, task: Task, rows: int, *, picks: int, window: int, looks: int, reach_mm: float, reward: str
@@ -135,8 +138,8 @@ class _Run:
         for name, count in {"picks": picks, "window": window, "looks": looks}.items():
             check_count(name, count)
         check_number("reach_mm", reach_mm, positive=True)
-        if looks > LONGEST_LOOK:
-            raise InputError(f"looks is {looks}; give at most {LONGEST_LOOK}")
+        if looks > self.LONGEST_LOOK:
+            raise InputError(f"looks is {looks}; give at most {self.LONGEST_LOOK}")
         if not task.camera or task.end_on_success:
             raise InputError("SameArm needs a camera and whole episodes; give feedback='camera', end_on_success=False")
         memory = PickMemory(task.joints, window, reach_mm)
@@ -427,7 +430,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         Raises:
             InputError: If ``env`` is no flat `pickenv/Reach-v0` with a camera, or ends on success. If a count is below
-                1, ``looks`` is above `LONGEST_LOOK`, ``reach_mm`` is not above 0, or ``reward`` is unknown.
+                1, ``looks`` is above 59, ``reach_mm`` is not above 0, or ``reward`` is unknown.
         """
         how: dict[str, Any] = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
         RecordConstructorArgs.__init__(self, **how)

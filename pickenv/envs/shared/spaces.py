@@ -50,7 +50,8 @@ class PlainSpec:
         self._spec = spec
 
 
-GOALS = ("goal_joints", "goal_position", "goal_pose")
+GOAL_ROWS = {"goal_position": (3, "x, y, z in m"), "goal_pose": (6, "x, y, z in m and a rotation vector in rad")}
+GOALS = ("goal_joints", *GOAL_ROWS)
 OPTIONS = ("start_joints", *GOALS, "arm")
 
 
@@ -132,9 +133,7 @@ def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None
     (name,) = names
     if name == "goal_joints":
         return task.given_joints(name, options[name], count), None
-    width, columns = (
-        (3, "x, y, z in m") if name == "goal_position" else (6, "x, y, z in m and a rotation vector in rad")
-    )
+    width, columns = GOAL_ROWS[name]
     rows = as_numbers(f"option {name}", options[name])
     shapes = [(width,)] if count is None else [(width,), (count, width)]
     if rows.shape not in shapes:
