@@ -39,7 +39,6 @@ TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0", "scene": 
 QUALITIES = ("expert", "medium", "random")
 
 EPISODES = {"reach": 256, "pick": 32, "scene": 64, "sight": 150}
-"""Default number of episodes of a data set, by task."""
 
 POLICIES = {
     **{(task, "random"): "actions drawn evenly" for task in TASKS},

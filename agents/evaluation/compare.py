@@ -30,7 +30,6 @@ from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 SUMMARY, RECORDING = "comparison.json", "comparison.rrd"
 GRID_STEP = 0.1
-"""Cell size of a policy's error field, m."""
 Arguments = Mapping[str, Any]
 
 

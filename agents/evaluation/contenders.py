@@ -35,7 +35,6 @@ from pickenv.orchard import Gripper, capture_probability, misalignment
 from pickenv.wrappers import Compensate, ToolSteps
 
 FRUIT = ("collected", "damaged", "attempted", "reachable")
-"""Names of the counts of fruit that `pick_canopies` returns for each canopy."""
 
 
 def pick_canopies(
@@ -78,7 +77,6 @@ def pick_canopies(
 
 
 LONGEST_EPISODE = 10_000
-"""Number of steps after which an environment counts as having no time limit."""
 
 
 def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
@@ -113,7 +111,8 @@ def run_episodes(
         progress: Called after each episode with the number of episodes done.
 
     Raises:
-        InputError: If there are no seeds, or an episode does not end within `LONGEST_EPISODE` steps.
+        InputError: If there are no seeds, or an episode does not end within `LONGEST_EPISODE` steps, after which the
+            environment counts as having no time limit.
     """
     if not seeds:
         raise InputError("there are no episodes to run; give at least one seed")
@@ -160,11 +159,7 @@ def run_reaches(
 
 
 MOST_ROWS = 2048
-"""Largest number of environments whose joints a compensator gets in one call, as many as in
-`pickenv.envs.shared.arm_batch.NumpyArms.block`."""
-
 PolicyMaker = Callable[[Any, int], Policy]
-"""Function ``(env, seed)`` that makes a policy for an environment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +227,8 @@ def roll_out(
     arguments |= {"arms": "per_episode", "population": first + arms}
     numbers = np.arange(arms)
     seeds = np.array(episode_seeds(seed, arms * episodes)).reshape(episodes, arms)
-    # One round holds every arm once; rows of several rounds run side by side where nothing is learnt in between.
+    # One round holds every arm once; rows of several rounds run side by side where nothing is learnt in between. A
+    # compensator gets the joints of at most `MOST_ROWS` of them in one call, as many as in `NumpyArms.block`.
     rounds = 1 if sequential else max(1, min(episodes, MOST_ROWS // arms))
     parts: list[Rollout] = []
     policy: Policy | None = None
@@ -436,10 +432,8 @@ def _envs_of(name: str) -> Callable[..., ReachVectorEnv]:
 
 NONE = "none"
 LEAST_SQUARES = "ls"
-"""Suffix of a calibration's name, after ``#``, that selects its least-squares part without its learnt residual."""
 
 Given: TypeAlias = str | Path | Policy
-"""A policy: a registered name, a shipped baseline, a file, or an object with ``act`` and ``reset``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -469,11 +463,11 @@ def contenders_of(
     """Return the contenders of a comparison; contenders labelled raw, LS and LS+BPNN come first.
 
     Args:
-        policies: One or more policies. A calibration file among them stands for the scripted policy with this
-            calibration.
+        policies: One or more policies, each a registered name, a shipped baseline, a file, or an object with ``act``
+            and ``reset``. A calibration file among them stands for the scripted policy with this calibration.
         compensate: Calibration of each policy, in the same order: "none" or None, a `Calibration`, a file, or a file
-            name followed by "#ls" for its least-squares part alone. One policy is combined with each of several
-            calibrations, and one calibration with each of several policies.
+            name followed by "#ls" for its least-squares part without its learnt residual. One policy is combined with
+            each of several calibrations, and one calibration with each of several policies.
         labels: Display names, one for each policy; made from policies and calibrations by default.
         arm: Arm to which the calibrations must belong; None if the environment has no arm.
         camera_noise_mm: Standard deviation of the camera noise that an adaptive policy assumes, mm per axis.

@@ -220,11 +220,7 @@ vars(adaptive).update(feedback=("camera",), sequential=True)
 
 REMEMBERING, REMEMBERING_FORMAT = "policy with a memory", 1
 
-HEADS = 4
-"""Number of attention heads; each weighs the picks of a window in its own way."""
-
-STEEPEST = 20.0
-"""Largest absolute value of an attention logit, the logarithm of an unnormalised weight."""
+HEADS, STEEPEST = 4, 20.0
 
 LSTM = ("input", "input_bias", "state", "state_bias")
 WINDOW = ("near", "near_bias", "query", "key", "value", "value_bias")
@@ -232,11 +228,13 @@ WINDOW = ("near", "near_bias", "query", "key", "value", "value_bias")
 first."""
 
 State = tuple[Array, Array]
-"""State of a recurrent policy: its hidden output and its cell state, ``(N, units)`` each."""
 
 
 def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -> Any:
     """Compute the attention features of a window of past picks for the next pick, on NumPy or torch.
+
+    Each of `HEADS` heads weighs the picks of a window in its own way. `STEEPEST` is the largest absolute value of an
+    attention logit, the logarithm of an unnormalised weight.
 
     Args:
         xp: The module numpy or torch.
@@ -273,7 +271,7 @@ def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
     Args:
         given: Weight arrays by the names in `LSTM`.
         seen: Observations ``(N, inputs)``.
-        state: Present state.
+        state: Present state: the hidden output and the cell state, ``(N, units)`` each.
     """
     out, cell = state
     gates = seen @ given["input"] + given["input_bias"] + out @ given["state"] + given["state_bias"]

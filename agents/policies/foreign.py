@@ -34,11 +34,7 @@ TELLING: Mapping[str, tuple[str, str]] = {
     "clip_range": ("stable_baselines3", "PPO"),
     "gae_lambda": ("stable_baselines3", "A2C"),
 }
-"""Module and name of an algorithm, by the name of a setting that only zip files of this algorithm have. The settings
-are tried in this order."""
-
 RECURRENT = ("sb3_contrib", "RecurrentPPO")
-"""Module and name of the algorithm of a zip file with a recurrent policy class, which otherwise looks like PPO."""
 
 
 class Sb3Policy:
@@ -142,6 +138,12 @@ def faults_in(path: Path, what: str) -> Iterator[None]:
 
 
 def _trained(path: Path, env: Any) -> Sb3Policy:
+    """Load the policy in a zip file of Stable-Baselines3, whose algorithm its settings tell.
+
+    `TELLING` has module and name of an algorithm by the name of a setting that only zip files of this algorithm have,
+    in the order in which settings are tried. `RECURRENT` is that of a zip file with a recurrent policy class, which
+    otherwise looks like PPO.
+    """
     require("stable_baselines3")
     try:
         with zipfile.ZipFile(path) as archive:

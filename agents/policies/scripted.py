@@ -268,10 +268,6 @@ class ServoScene(policy.ReachController):
 # The oracle: a policy that knows the true arm. What remains with it, no calibration can remove.
 
 
-ITERATIONS = 6
-"""Number of Newton steps from the nominal solution; three are enough for errors of millimetres."""
-
-
 class OracleReach(ScriptedReach):
     """Reach policy that solves the inverse kinematics of the true arm at rest, effects included, and drives there.
 
@@ -287,7 +283,7 @@ class OracleReach(ScriptedReach):
 def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
     """Return joints ``(..., n)`` near ``joints``, rad or m, at which the true arm at rest has its tool at ``pose``."""
     nominal = plant.arm.nominal
-    for _ in range(ITERATIONS):
+    for _ in range(6):  # Newton steps from the nominal solution; three are enough for errors of millimetres
         back = truncated_inverse(joint_jacobian(plant.geometry, joints))
         joints = joints + np.einsum("...ij,...j->...i", back, pose_error(plant.tool_pose(joints), pose))
         joints = joints.clip(nominal.lower, nominal.upper)

@@ -42,19 +42,17 @@ LIMIT = 1 << 35
 EPISODES = "_current_ep_start"
 SEEN = ("observations", "next_observations")
 BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", EPISODES, *SEEN)
-"""Names of the arrays that a replay buffer may have. All arrays but `EPISODES` are as long as the buffer."""
 
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 PARTS = {
     *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
     *("last", "starts", "env", "buffer", "memory"),
 }
-"""Names of the parts of a checkpoint's state."""
+"""Names of the parts of a checkpoint's state, on which the continuation of a training depends."""
 
 
 Evaluations = list[dict[str, float]]
 State = dict[str, Any]
-"""State of a training, by the names in `PARTS`: everything on which its continuation depends."""
 
 
 def save_checkpoint(
@@ -151,6 +149,10 @@ def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None
 
 
 def _buffer(model: Any) -> dict[str, Any]:
+    """Return the filled part of a model's replay buffer, empty without a buffer.
+
+    `BUFFER` names the arrays that a replay buffer may have. All arrays but `EPISODES` are as long as the buffer.
+    """
     if (buffer := getattr(model, "replay_buffer", None)) is None:
         return {}
     filled = buffer.buffer_size if buffer.full else buffer.pos

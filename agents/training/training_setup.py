@@ -126,9 +126,6 @@ def _stored(name: str, value: Any) -> Any:
 
 
 Inputs = dict[str, str | None]
-"""Hashes of a training's inputs besides its settings. "arms" holds one hash per plant (the true arm with its errors),
-separated by spaces. Each hash is over the parameters of plant, arm and tolerance class. "calibration" is the SHA-256
-of the calibration file, or None."""
 
 
 def arguments_of(training: Training) -> list[dict[str, Any]]:
@@ -198,7 +195,11 @@ def make_runs(training: Training, count: int, mode: str) -> SameArmVector | Same
 
 
 def inputs_of(training: Training) -> Inputs:
-    """Compute the hashes of a training's arms and of its calibration file in their present state; see `Inputs`.
+    """Compute the hashes of a training's inputs besides its settings, in their present state.
+
+    Returns:
+        "arms" holds one hash per plant (the true arm with its errors), separated by spaces. Each hash is over the
+        parameters of plant, arm and tolerance class. "calibration" is the SHA-256 of the calibration file, or None.
 
     Raises:
         InputError: If the calibration is missing or of another arm, or the file of a plant (true arm) is refused.

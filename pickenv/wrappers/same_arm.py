@@ -39,7 +39,6 @@ MOST_SEEN = 20.0
 """Bound of errors in observations, in units of `SEEN_MM`; larger errors are clipped."""
 
 SAME_ARM_REWARDS = ("measured", "true")
-"""Kinds of reward for a pick: from the gap that the camera measured, or from the true gap, which no real arm knows."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from pickenv.pictures import shapes
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Rods, Stage, Words, rgba, spheres
 
 LONGEST = 600
-"""Default number of periods in an episode, which take a minute."""
 
 
 class HarvestEnv(DrawnEnv):
@@ -82,7 +81,7 @@ class HarvestEnv(DrawnEnv):
     ## Episode End
 
     - Termination: no fruit in reach hangs any more, and no blade is closing.
-    - Truncation: after 600 periods (`max_episode_steps`).
+    - Truncation: after 600 periods, which take a minute (`max_episode_steps`).
 
     ## Information
 

@@ -35,7 +35,6 @@ from pickenv.orchard import Eyes, Sight, face, fruit_masses, load_eyes, sample_d
 
 OPTIONS = ("fruit", "start_joints")
 DRAWS = 100
-"""Largest number of draws of a zone until the cameras locate some of its fruit."""
 
 
 def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows: Any = slice(None)) -> dict[str, Array]:
@@ -134,7 +133,6 @@ class Rules:
 
 
 load_rules = cache(partial(read_toml, Rules, PICKING_FILE, section="task"))
-"""Read the rules of the task from their file; the result is cached."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +232,6 @@ def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], 
 HANGING, COLLECTED, LOST = 0, 1, 2
 
 HALF_AND_WHOLE = np.array([0.5, 1.0]).reshape(2, 1, 1, 1)
-"""Shares of a move at which the distances between arms are checked: half way, and at its end."""
 
 
 @dataclass(eq=False)

@@ -24,11 +24,9 @@ from pickenv.pictures import shapes
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 
 ABSENT = np.zeros((), pick_scene.FRUIT)
-"""Record of an absent fruit, far away. It fills up the array for canopies with less fruit than the fullest one."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
 FUNNEL = ("visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
-"""Stages whose fruit is counted for each canopy; "collected" counts only undamaged fruit."""
 REACHABLE, ATTEMPTED, COLLECTED = (FUNNEL.index(stage) for stage in ("reachable", "attempted", "collected"))
 
 OWN = ("sight", "number", "still", "moments")
@@ -41,14 +39,16 @@ class Canopies:
 
     Attributes:
         scenes: The scene of each canopy, which works on its part of `fruit`.
-        fruit: All fruit, (N, M).
+        fruit: All fruit, (N, M). Records of absent fruit, far away, fill it up for canopies with less fruit than the
+            fullest one.
         omega: Natural frequencies of the fruit along x, y, z, rad/s, (N, M, 3).
         present: Number of fruit in each canopy.
         held: Index of the fruit in each gripper, or -1.
         off: Whether the fruit in each gripper is detached from its stem.
         felt: Position of the fruit in each gripper as the gripper measures it, fruit minus tool, m, (N, 3).
         miss: Distance of the fruit from the tool at each arm's last grasp, across and along the tool's axis, m, (N, 2).
-        counts: Number of fruit of each canopy that reached each stage of `FUNNEL`, (7, N).
+        counts: Number of fruit of each canopy that reached each stage of `FUNNEL`, (7, N); "collected" counts only
+            undamaged fruit.
         sight: The tools' true and believed frames and the joint readings, in the layout of
             `pickenv.envs.picking.pick_arm.BELIEVED` to `SIGHT`, then the joint commands, (numbers, N).
         number: Index of the fruit that each arm is to pick next.

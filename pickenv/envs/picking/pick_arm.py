@@ -86,9 +86,6 @@ STIRRED = 1e-9
 
 
 BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
-"""Indices of the numbers that `look_at_arm` returns about an arm. `BELIEVED` is the frame of the believed tool, and
-`TOOL` the tool's true frame. `TURN` is the rotation vector from the believed attitude to upright, rad. `TILT` is the
-angle between the true tool's axis and the vertical, deg. The joint readings, scaled to the limits, begin at `SIGHT`."""
 
 
 def act_arm(x: Executor, task: Task, state: ArmState, action: Scalars) -> tuple[ArmState, Scalar, Scalar, Scalar]:
@@ -115,7 +112,10 @@ def look_at_arm(
     `pickenv.envs.shared.simulation.look` explains the arguments.
 
     Returns:
-        The state afterwards, and the numbers measured, in the layout of `BELIEVED` to `SIGHT`.
+        The state afterwards, and the numbers measured. At `BELIEVED` is the frame of the believed tool, and at `TOOL`
+        the tool's true frame. At `TURN` is the rotation vector from the believed attitude to upright, rad. At `TILT` is
+        the angle between the true tool's axis and the vertical, deg. The joint readings, scaled to the limits, begin at
+        `SIGHT`.
     """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = simulation.nominal_readings(x, plant, plant_state, state.target, command)

@@ -192,7 +192,6 @@ class ReachVectorEnv(NativeVectorEnv):
 
 
 Settings = Mapping[str, Any]
-"""Settings of an executor by name: ``device``, ``dtype`` and ``compiled``; only torch uses them."""
 
 
 @register("backend", "compiled")
@@ -217,6 +216,8 @@ def _numpy(task: Task, count: int, goal_dict: bool, poses: bool, settings: Setti
 @register("backend", "torch")
 def _torch(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
     """Make a `Batch` whose step runs on torch tensors, from the arguments of `Batch` and the executor's settings.
+
+    The settings are ``device``, ``dtype`` and ``compiled``; only torch uses them.
 
     Raises:
         MissingExtra: If torch is not installed.

@@ -34,17 +34,8 @@ TIMESTEP, CHUNK = 0.004, 5
 """Length of a physics step, and number of steps after which stems and the cup's hold are checked for breaking."""
 
 STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
-"""Stiffness and damping of the drives of arms that are made from an arm file, and the inertia that their gears add, all
-in SI units for joints that turn or slide.
-These drives settle within one or two control periods. Without the inertia, damping would dominate at the wrist and
-contacts would be unstable."""
-
 CAMERAS = ("world", "wrist")
 HULL, AS_DRAWN, UNSEEN = 48, 2, 5
-"""`HULL` is the largest number of corners of the convex hulls that replace a manufacturer's meshes in contacts and
-pictures. `AS_DRAWN` is the group of geoms that only show the arm's look and take ten times as long to draw. `UNSEEN` is
-the group of geoms that are not drawn."""
-
 OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
 SMALLEST, LARGEST = 16, 1024
 """Bounds of the width and height of pictures."""
@@ -161,7 +152,16 @@ class ContactScene:
         return self.__dict__ | {"_pictures": {}, "_shown": None}
 
     def _robot(self, arm: Arm) -> Any:
-        """Return the MuJoCo specification (`mujoco.MjSpec`) of the arm without weight, and of the world camera."""
+        """Return the MuJoCo specification (`mujoco.MjSpec`) of the arm without weight, and of the world camera.
+
+        Drives of arms that are made from an arm file have `STIFFNESS` and `DAMPING`, and their gears add the inertia
+        `ARMATURE`, all in SI units for joints that turn or slide. These drives settle within one or two control
+        periods. Without the inertia, damping would dominate at the wrist and contacts would be unstable.
+
+        A manufacturer's meshes are replaced in contacts and pictures by convex hulls with at most `HULL` corners. Geoms
+        of the group `AS_DRAWN` only show the arm's look and take ten times as long to draw; geoms of the group `UNSEEN`
+        are not drawn.
+        """
         around = self.around
         if around.model is None:
             spec = mujoco.MjSpec.from_string(mjcf_text(arm.nominal, arm.name))

@@ -40,19 +40,10 @@ from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
 
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos", "pixels_environment_state_agent_pos")
 USUAL_PLANT = "ideal:ur5e"
-PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
-"""Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
-
+PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25  # the class explains these and the next two
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
-"""Number of steps for which a detached fruit must be held to count as picked, and smallest reach of arms for which
-`scale` is 1 by default."""
-
 SPREAD, ATTEMPTS = 64, 2000
-"""Number of poses over which `error_mm` is the mean, and number of poses tried to find places for fruit."""
-
 TRIES = 1, 3, 12, 34
-"""Numbers of pairs of a fruit and a start that are drawn at once. Drawing ends when the arm reaches the fruit and the
-start of a pair."""
 
 
 class PickSceneEnv(ReachEnv):
@@ -247,7 +238,10 @@ class PickSceneEnv(ReachEnv):
         self._holding, self._closed = 0, (0.0, 0.0)
 
     def _places(self) -> Array:
-        """Return k possible positions of fruit, then the position of the arm's base, ``(k + 1, 3)``, m, base frame."""
+        """Return k possible positions of fruit, then the position of the arm's base, ``(k + 1, 3)``, m, base frame.
+
+        They are the positions of the first `SPREAD` poses among `ATTEMPTS` that fit the task.
+        """
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
         joints: Array = np.array(list(islice((pose for pose, fits in tries if fits), SPREAD)))
         geometry = self.task.plant.arm.nominal
@@ -264,7 +258,11 @@ class PickSceneEnv(ReachEnv):
         return self._pair[1]
 
     def _before_fruit(self, within: float) -> tuple[Array, Array]:
-        """Draw the joints that `_placed` returns; `_placed` explains them."""
+        """Draw the joints that `_placed` returns; `_placed` explains them.
+
+        `TRIES` has the numbers of pairs of a fruit and a start that are drawn at once. Drawing ends when the arm
+        reaches the fruit and the start of a pair.
+        """
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
         how: dict[str, Any] = {"restarts": 0, "position_only": geometry.joints < 6}
@@ -299,7 +297,10 @@ class PickSceneEnv(ReachEnv):
         self.plant = self._scaled(self.plant)
 
     def _scaled(self, plant: Plant) -> Plant:
-        """Return the true arm ``plant`` with its errors scaled to `error_mm`, or unchanged if `error_mm` is None."""
+        """Return the true arm ``plant`` with its errors scaled to `error_mm`, or unchanged if `error_mm` is None.
+
+        The error is the mean over `SPREAD` poses.
+        """
         if self._error is None:
             return plant
         return erring_by(plant, 1e-3 * self._error, halton_joints(plant.arm.nominal, SPREAD))

@@ -22,16 +22,10 @@ from pickenv.envs.shared.backends import DRAWN, START, Executor, stream_key, uni
 CONTROL_PERIOD = 0.1
 """Default time between two actions, s: multiplied by a joint's speed in the arm file, it is the largest increment."""
 
-MOST_STEPS = 20
-"""Largest number of periods by which actions or readings can be late. It is limited because late ones have to be
-stored."""
-
-MOST_HOURS = 1000.0
-"""Largest value of `hours_on`."""
+MOST_STEPS, MOST_HOURS = 20, 1000.0
 
 Components = tuple[Scalar, ...]
-Given = float | Sequence[float]
-"""A number, or a range given as [least, largest]."""
+Given = float | Sequence[float]  # a number, or a range as [least, largest]
 
 
 class Span(NamedTuple):
@@ -111,6 +105,8 @@ def make_situation(
     start_spread: float = 0.0,
 ) -> Situation:
     """Check the arguments, which `pickenv/Reach-v0` explains, and return the situation.
+
+    Actions and readings are late by at most `MOST_STEPS` periods, because late ones have to be stored.
 
     Raises:
         InputError: If a number is outside the range that the environment allows. The message names the argument and

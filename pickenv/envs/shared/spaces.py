@@ -106,21 +106,19 @@ def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str,
 
 
 POOL, NEAREST = 2**14, 16
-"""`POOL` is the number of sampled poses. Inverse kinematics starts from the `NEAREST` poses nearest to a position."""
 
 
-Goals = tuple[Array | None, Array | None]
-"""Goals that options of `reset` give: joints of the nominal arm at the goal ``(..., n)``, and frames of the goal
-``(..., 12)``, axes and origin. One of the two is None, or both if no goal is given."""
-
-
-def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> Goals:
-    """Return the goals that the options of `reset` give, as `Goals`.
+def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> tuple[Array | None, Array | None]:
+    """Return the goals that the options of `reset` give.
 
     Args:
         task: The task.
         options: The options; of `GOALS` at most one may be given.
         count: Number of environments, or None for a single one.
+
+    Returns:
+        Joints of the nominal arm at the goal ``(..., n)``, and frames of the goal ``(..., 12)``, axes and origin. One
+        of the two is None, or both if no goal is given.
 
     Raises:
         InputError: If more than one option gives a goal, a shape is wrong, or the nominal arm cannot get to a position.
@@ -148,7 +146,8 @@ def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None
 def _reached(task: Task, position: Array) -> Array:
     """Find joints ``(n,)``, rad or m, that bring the nominal tool to a position ``(3,)``, m.
 
-    The tool's axis is at most the task's largest tilt away from the vertical.
+    The tool's axis is at most the task's largest tilt away from the vertical. Inverse kinematics starts from the
+    `NEAREST` sampled poses nearest to the position.
     """
     geometry = task.plant.arm.nominal
     joints, poses = spread_poses(geometry)
