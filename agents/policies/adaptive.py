@@ -32,7 +32,6 @@ from pickenv.wrappers import PickMemory
 from pickenv.wrappers.same_arm import scaled_joints
 
 CALIBRATED_PRIOR = 0.2
-"""Prior standard deviation of the parameters' errors after a calibration, as a share of their tolerances."""
 
 
 class LookingReach(ScriptedReach):
@@ -205,6 +204,8 @@ class FeelingPick(ScriptedPick):
 def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation: str = "raw") -> Policy:
     """Make an `AdaptiveReach` for a level of camera noise; with a compensation it assumes smaller arm errors.
 
+    Their prior standard deviation is then the share `CALIBRATED_PRIOR` of the parameters' tolerances.
+
     Args:
         env: Environment, which gives the nominal arm.
         seed: Not used.
@@ -224,8 +225,6 @@ HEADS, STEEPEST = 4, 20.0
 
 LSTM = ("input", "input_bias", "state", "state_bias")
 WINDOW = ("near", "near_bias", "query", "key", "value", "value_bias")
-"""`LSTM` and `WINDOW` are the names of the arrays of the two kinds of memory, with the layers next to the inputs
-first."""
 
 State = tuple[Array, Array]
 
@@ -289,7 +288,8 @@ class RememberingPolicy(Actor):
 
     Attributes:
         memory: Layout of the observations: past picks and the next pick.
-        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`.
+        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`, which begin with the layers next to the
+            inputs.
     """
 
     memory: PickMemory

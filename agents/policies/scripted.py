@@ -350,7 +350,6 @@ HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
 
 OUT, BELOW, AT = range(3)
-"""Indices of the three waypoints to a fruit: below the fruit tried last, below this fruit, and at this one."""
 
 
 class ScriptedPick(policy.ReachController):
@@ -443,7 +442,7 @@ class ScriptedPick(policy.ReachController):
         return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
-        """Plan three waypoints: below the fruit tried last, below the next fruit, and at the next fruit.
+        """Plan three waypoints: below the fruit tried last (`OUT`), below the next fruit (`BELOW`), and at it (`AT`).
 
         Args:
             rows: Indices of the r environments, from 0.

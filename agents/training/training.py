@@ -37,7 +37,6 @@ STATE = "state.pt"
 AGAIN = "start the training again"
 
 LIMIT = 1 << 35
-"""Largest size of a checkpoint, in bytes (32 GiB); it includes the replay buffer."""
 
 EPISODES = "_current_ep_start"
 SEEN = ("observations", "next_observations")
@@ -92,7 +91,7 @@ def save_checkpoint(
 def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
     """Return the settings, input hashes, evaluations so far and state of the training in a checkpoint.
 
-    Nothing in the file is executed.
+    Nothing in the file is executed. A checkpoint has at most `LIMIT` bytes (32 GiB), the replay buffer included.
 
     Raises:
         InputError: If the file is missing, damaged in any byte, or of another version.

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 PLAIN = "PICKENV_PLAIN_PICTURES"
 """Environment variable that, if set, makes Pillow draw all pictures, even if MuJoCo is installed."""
 TRIAL = "pickenv.pictures.mujoco_drawer"
-"""Module that is run in another process to test whether MuJoCo can draw."""
 
 FINER = 2
 NEAREST = 0.05
@@ -65,7 +64,10 @@ def drawer_name() -> str:
 
 
 def why_plain() -> str | None:
-    """Return a sentence that says why pictures are drawn with Pillow; None if MuJoCo draws them."""
+    """Return a sentence that says why pictures are drawn with Pillow; None if MuJoCo draws them.
+
+    The module `TRIAL` is run in another process to test whether MuJoCo can draw.
+    """
     require("matplotlib")
     if os.environ.get(PLAIN):
         return f"Pictures are drawn plainly, as {PLAIN} asks."

@@ -132,7 +132,6 @@ def _fans(count: int) -> NDArray[np.intp]:
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
 BARK, STEM = (122, 92, 66), (104, 84, 52)
 GROUND = {False: ((226, 230, 220), (214, 220, 208)), True: ((52, 58, 64), (46, 52, 58))}
-"""The two colours of the ground's squares, for a light (False) and a dark (True) background."""
 CRATE = (0.28, 0.8)
 SQUARE, SPREAD = 0.5, 6.0
 TWIG = 0.09
@@ -208,7 +207,8 @@ def _branch(start: ArrayLike, end: ArrayLike, radius: float) -> Mesh:
 def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
     """Return the mesh of level ground around the point ``x``, ``y``, m, at a ``height``, m, in the world frame.
 
-    ``dark`` says whether the background is dark. Equal arguments give the same object.
+    ``dark`` says whether the background is dark; `GROUND` has the two colours of the ground's squares for either.
+    Equal arguments give the same object.
     """
     return chequered((x - SPREAD / 2, y - SPREAD / 2), (x + SPREAD / 2, y + SPREAD / 2), height, SQUARE, GROUND[dark])
 

@@ -422,11 +422,9 @@ MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
 MOST_FELT = 0.1
-"""Bound of the observed position of a fruit in the gripper. The gripper takes no fruit that is so far off."""
 
 
 OF_THE_ARM = ("without", "arms", "tolerances", "population", "population_seed", "out_of_range")
-"""Arguments of `pickenv.envs.make_task` that `pickenv/Pick-v0` takes too."""
 
 
 def make_pick(
@@ -446,6 +444,8 @@ def make_pick(
     **arguments: Any,
 ) -> tuple[Task, PickSetting]:
     """Check the arguments of a picking environment, which `pickenv/Pick-v0` explains.
+
+    Of the arguments of `pickenv.envs.make_task` it takes those in `OF_THE_ARM` too.
 
     Returns:
         The arm's task, and the setting of fruit, camera and gripper.
@@ -494,7 +494,10 @@ def make_pick(
 
 
 def pick_spaces(task: Task, orchard: PickSetting) -> tuple[spaces.Box, spaces.Box]:
-    """Return the observation space and the action space."""
+    """Return the observation space and the action space.
+
+    `MOST_FELT` bounds the observed position of a fruit in the gripper, which takes no fruit that is so far off.
+    """
     bounds = box([1.0] * task.joints + [task.reach] * 6 + [2 * task.reach] * 3 + [math.pi] * 3)
     felt = np.full(0 if orchard.felt is None else 3, MOST_FELT, np.float32)
     low = np.concatenate([bounds.low, np.zeros(5, np.float32), -felt])

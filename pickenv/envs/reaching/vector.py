@@ -24,7 +24,6 @@ from pickenv.envs.shared.task import OF_TASKS, Task, check_choice, make_task, re
 from pickenv.pictures.stage import Stage
 
 STATE = {"seeds": "_seeds", "episodes": "_episodes", "elapsed": "_elapsed", "ended": "_over"}
-"""Attributes of the environment that a checkpoint stores, by the names that they have in the checkpoint."""
 
 
 class ReachVectorEnv(NativeVectorEnv):
@@ -115,6 +114,7 @@ class ReachVectorEnv(NativeVectorEnv):
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays that the next step depends on, for a checkpoint.
 
+        `STATE` has the names of the environment's attributes among them, by the names that they have in the checkpoint.
         This works for environments on NumPy with an autoreset mode other than "Disabled".
         """
         arrays = {key: getattr(self, name) for key, name in STATE.items()}

@@ -31,8 +31,6 @@ import mujoco  # noqa: E402
 from pickenv.pictures.mujoco_drawer import ModelPictures  # noqa: E402
 
 TIMESTEP, CHUNK = 0.004, 5
-"""Length of a physics step, and number of steps after which stems and the cup's hold are checked for breaking."""
-
 STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
 CAMERAS = ("world", "wrist")
 HULL, AS_DRAWN, UNSEEN = 48, 2, 5
@@ -384,6 +382,9 @@ class ContactScene:
 
     def carry(self, joints: Sequence[float], tool: Frame, grip: float, period: float) -> None:
         """Simulate one period, in which the drives move on to new joint positions.
+
+        Stems and the cup's hold are checked for breaking after every `CHUNK` physics steps, which take `TIMESTEP`, or
+        half of it with a manufacturer's model.
 
         Args:
             joints: Positions of the true arm's joints at the end of the period ``(n,)``, rad or m.
