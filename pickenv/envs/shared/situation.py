@@ -145,12 +145,9 @@ def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
 
     Numbers that stand for whole numbers still have a fraction, which later comparisons cut off.
     """
-    values, stream = [], stream_key(x, key, DRAWN)
-    for name in setting.drawn:
-        low, high = getattr(setting, name)
-        number = [part.name for part in fields(setting)].index(name)
-        values.append(low + (high - low + isinstance(low, int)) * uniform(x, stream, number))
-    return tuple(values)
+    stream, names = stream_key(x, key, DRAWN), [part.name for part in fields(setting)]
+    spans = ((names.index(name), *getattr(setting, name)) for name in setting.drawn)
+    return tuple([low + (high - low + isinstance(low, int)) * uniform(x, stream, i) for i, low, high in spans])
 
 
 def drawn_start(
