@@ -32,7 +32,6 @@ POINTS, HIDDEN = 16, 256
 """Number of feature points in the image, and width of the hidden layers."""
 
 BATCH, RATE, DECAY, PASSES = 64, 2e-3, 1e-4, 12
-"""Batch size, largest learning rate and weight decay (AdamW with one cycle), and number of epochs."""
 
 
 class Clone(nn.Module):
@@ -162,6 +161,9 @@ def _fit(
     network: Clone, pictures: th.Tensor, numbers: th.Tensor, wanted: th.Tensor, passes: int, progress: Progress | None
 ) -> None:
     """Train a network in place, with the mean absolute error as its loss.
+
+    The optimiser is AdamW with batches of `BATCH` rows, the weight decay `DECAY`, and one cycle of learning rates up to
+    `RATE`.
 
     Args:
         network: The network.

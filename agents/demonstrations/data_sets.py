@@ -34,12 +34,10 @@ from pickenv.envs import check_choice, check_count
 
 SCENE = "pickenv/PickScene-v0"
 TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0", "scene": SCENE, "sight": SCENE}
-"""Tasks and the environments on which they are recorded; `ARMS` gives arguments other than the defaults."""
 
 QUALITIES = ("expert", "medium", "random")
 
 EPISODES = {"reach": 256, "pick": 32, "scene": 64, "sight": 150}
-"""Default number of episodes of a data set, by task."""
 
 POLICIES = {
     **{(task, "random"): "actions drawn evenly" for task in TASKS},
@@ -52,7 +50,6 @@ POLICIES = {
     ("sight", "expert"): "ServoScene with a perfect arm; it sees the fruit exactly",
     ("sight", "medium"): "ServoScene with an arm that errs; it sees the fruit exactly",
 }
-"""Description of the policy of each data set, by task and quality ("expert", "medium" or "random")."""
 
 SIGHT: Mapping[str, Any] = {
     "obs_type": "pixels_environment_state_agent_pos",

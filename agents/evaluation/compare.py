@@ -30,7 +30,6 @@ from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 SUMMARY, RECORDING = "comparison.json", "comparison.rrd"
 GRID_STEP = 0.1
-"""Cell size of a policy's error field, m."""
 Arguments = Mapping[str, Any]
 
 
@@ -148,9 +147,8 @@ def compare(
     ]
     facts: dict[str, Any] = {"plant": plant, "env_id": env, "seed": seed, "seeds": seeds, "period": period}
     facts |= {"gripper": judge.name, "tolerance_mm": round(1e3 * judge.tolerance, 6)}
-    options: dict[str, Any] = {"env": env, "episodes": episodes, "seed": seed, "gripper": gripper}
-    options |= {"compensate": compensate, "allow": sorted(allow)}
-    options |= {"grid_step": None if grid_step == GRID_STEP else grid_step}
+    options = {"env": env, "episodes": episodes, "seed": seed, "gripper": gripper, "compensate": compensate}
+    options |= {"allow": sorted(allow), "grid_step": None if grid_step == GRID_STEP else grid_step}
     command = _command(policies, options, labels, arguments)
     if plant is None or "field" not in features:
         return PolicyComparison(RecordedEpisodes(policies=tuple(recorded), **facts), command)
@@ -217,7 +215,7 @@ def _recorded_policy(
     moments = np.array([len(episode) for episode in episodes])
     rows, ends = np.arange(len(episodes)), moments - 1
     distance = 1e3 * np.linalg.norm(tool - fruit, axis=-1)
-    miss, picked = np.full(distance.shape, np.nan), np.zeros(distance.shape, dtype=np.int64)
+    miss = np.full(distance.shape, np.nan)
     success = column("is_success", False).astype(bool)
     if "attempted" in info:  # fruit after fruit: the gripper closes where the environment says so
         closes = np.diff(column("attempted", 0), axis=1, prepend=0) > 0
@@ -229,13 +227,9 @@ def _recorded_policy(
         if "pose_error" in info and plant is not None:
             error = column("pose_error", None).astype(float)[rows, ends]
             taken = chance < _capture(judge, Pose(tool[rows, ends], rotation[rows, ends]), fruit[rows, ends], error)
-        elif "is_success" in info:
-            taken = success[rows, ends]
         else:
-            taken = miss[rows, ends] <= 1e3 * judge.tolerance
-        picked[rows, ends] = taken
-        for row, end in zip(rows, ends, strict=True):
-            picked[row, end:] = picked[row, end]
+            taken = success[rows, ends] if "is_success" in info else distance[rows, ends] <= 1e3 * judge.tolerance
+        picked = np.where(np.arange(longest) >= ends[:, None], taken[:, None], 0)
     return RecordedPolicy(
         label=label,
         key=policy_key(label),

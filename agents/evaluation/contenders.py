@@ -35,7 +35,6 @@ from pickenv.orchard import Gripper, capture_probability, misalignment
 from pickenv.wrappers import Compensate, ToolSteps
 
 FRUIT = ("collected", "damaged", "attempted", "reachable")
-"""Names of the counts of fruit that `pick_canopies` returns for each canopy."""
 
 
 def pick_canopies(
@@ -78,7 +77,6 @@ def pick_canopies(
 
 
 LONGEST_EPISODE = 10_000
-"""Number of steps after which an environment counts as having no time limit."""
 
 
 def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
@@ -113,7 +111,8 @@ def run_episodes(
         progress: Called after each episode with the number of episodes done.
 
     Raises:
-        InputError: If there are no seeds, or an episode does not end within `LONGEST_EPISODE` steps.
+        InputError: If there are no seeds, or an episode does not end within `LONGEST_EPISODE` steps, after which the
+            environment counts as having no time limit.
     """
     if not seeds:
         raise InputError("there are no episodes to run; give at least one seed")
@@ -160,11 +159,7 @@ def run_reaches(
 
 
 MOST_ROWS = 2048
-"""Largest number of environments whose joints a compensator gets in one call, as many as in
-`pickenv.envs.shared.arm_batch.NumpyArms.block`."""
-
 PolicyMaker = Callable[[Any, int], Policy]
-"""Function ``(env, seed)`` that makes a policy for an environment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +227,8 @@ def roll_out(
     arguments |= {"arms": "per_episode", "population": first + arms}
     numbers = np.arange(arms)
     seeds = np.array(episode_seeds(seed, arms * episodes)).reshape(episodes, arms)
-    # One round holds every arm once; rows of several rounds run side by side where nothing is learnt in between.
+    # One round holds every arm once; rows of several rounds run side by side where nothing is learnt in between. A
+    # compensator gets the joints of at most `MOST_ROWS` of them in one call, as many as in `NumpyArms.block`.
     rounds = 1 if sequential else max(1, min(episodes, MOST_ROWS // arms))
     parts: list[Rollout] = []
     policy: Policy | None = None
@@ -277,10 +273,6 @@ def _joined(parts: Sequence[Rollout]) -> Rollout:
     return Rollout(reaches, arm, target, np.concatenate([part.error_mm for part in parts], axis=1))
 
 
-SEQUENTIAL_STEPS = 30
-"""Number of steps in an episode of a policy that learns from pick to pick; the longest move takes 20 steps."""
-
-
 @dataclass(frozen=True)
 class Kind:
     """Properties of a policy that an evaluation needs to know.
@@ -306,8 +298,11 @@ class Kind:
 
     @property
     def steps(self) -> int:
-        """Number of steps in an episode in which such a policy is evaluated."""
-        return SEQUENTIAL_STEPS if self.sequential else 60
+        """Number of steps in an episode in which such a policy is evaluated.
+
+        It is smaller for a policy that learns from pick to pick; the longest move takes 20 steps.
+        """
+        return 30 if self.sequential else 60
 
 
 def kind_of(name: str) -> Kind:
@@ -321,9 +316,8 @@ def kind_of(name: str) -> Kind:
         InputError: If ``name`` is none of these.
     """
     if name in names("policy"):
-        maker, plain = get("policy", name), Kind()
-        traits = ("feedback", "sequential", "raw_only")
-        return Kind(**{trait: getattr(maker, trait, getattr(plain, trait)) for trait in traits})
+        maker, traits = get("policy", name), ("feedback", "sequential", "raw_only")
+        return Kind(**{trait: getattr(maker, trait) for trait in traits if hasattr(maker, trait)})
     if Path(name).suffix in foreign.SUFFIXES:
         return Kind(files=(name,))
     if Path(name).is_dir():
@@ -438,10 +432,8 @@ def _envs_of(name: str) -> Callable[..., ReachVectorEnv]:
 
 NONE = "none"
 LEAST_SQUARES = "ls"
-"""Suffix of a calibration's name, after ``#``, that selects its least-squares part without its learnt residual."""
 
 Given: TypeAlias = str | Path | Policy
-"""A policy: a registered name, a shipped baseline, a file, or an object with ``act`` and ``reset``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -471,11 +463,11 @@ def contenders_of(
     """Return the contenders of a comparison; contenders labelled raw, LS and LS+BPNN come first.
 
     Args:
-        policies: One or more policies. A calibration file among them stands for the scripted policy with this
-            calibration.
+        policies: One or more policies, each a registered name, a shipped baseline, a file, or an object with ``act``
+            and ``reset``. A calibration file among them stands for the scripted policy with this calibration.
         compensate: Calibration of each policy, in the same order: "none" or None, a `Calibration`, a file, or a file
-            name followed by "#ls" for its least-squares part alone. One policy is combined with each of several
-            calibrations, and one calibration with each of several policies.
+            name followed by "#ls" for its least-squares part without its learnt residual. One policy is combined with
+            each of several calibrations, and one calibration with each of several policies.
         labels: Display names, one for each policy; made from policies and calibrations by default.
         arm: Arm to which the calibrations must belong; None if the environment has no arm.
         camera_noise_mm: Standard deviation of the camera noise that an adaptive policy assumes, mm per axis.
@@ -508,13 +500,10 @@ def contenders_of(
     names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _ in stages])
     if len(names) != len(pairs):
         raise InputError(f"there are {len(pairs)} policies and {len(names)} labels; give each one label")
-    contenders = []
-    for (policy, _), (stage, compensator), label in zip(pairs, stages, names, strict=True):
-        if isinstance(policy, str | Path):
-            make = maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)
-        else:
-            make = _ready(policy)
-        contenders.append(Contender(label, make, compensator))
+    contenders = [
+        Contender(label, _maker(policy, camera_noise_mm, stage), compensator)
+        for (policy, _), (stage, compensator), label in zip(pairs, stages, names, strict=True)
+    ]
     check_labels(names)
     return sorted(contenders, key=lambda contender: policy_rank(contender.label))
 
@@ -552,8 +541,11 @@ def check_labels(labels: Sequence[str]) -> None:
             raise InputError(f"two policies are called '{label}'; give each its own `label`")
 
 
-def _ready(policy: Policy) -> PolicyMaker:
-    return lambda env, seed: policy
+def _maker(policy: Given, camera_noise_mm: float, stage: str) -> PolicyMaker:
+    """Return the function that makes a contender's policy; ``stage`` is the name of its calibration, "raw" without."""
+    if not isinstance(policy, str | Path):
+        return lambda env, seed: policy
+    return maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)
 
 
 def _pair(policy: Given) -> tuple[Given, str | Path | Calibration | None]:
@@ -597,9 +589,7 @@ def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
 
     ``policies`` has the name of each contender's policy, and ``stages`` the name of its calibration, "raw" without one.
     """
-    if len(policies) == 1:
-        return [policies[0] if stages[0] == "raw" else stages[0]]
-    if len(set(policies)) == 1:
+    if len(set(policies)) == 1 and (len(policies) > 1 or stages[0] != "raw"):
         return list(stages)
     if len(set(stages)) == 1:
         return list(policies)

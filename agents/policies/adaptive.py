@@ -32,10 +32,6 @@ from pickenv.wrappers import PickMemory
 from pickenv.wrappers.same_arm import scaled_joints
 
 CALIBRATED_PRIOR = 0.2
-"""Prior standard deviation of the parameters' errors after a calibration, as a share of their tolerances."""
-
-ARRIVED = 0.02
-"""An arm counts as standing still if its largest action is below this share of a joint increment."""
 
 
 class LookingReach(ScriptedReach):
@@ -44,10 +40,13 @@ class LookingReach(ScriptedReach):
     The policy drives to corrected joint targets, and averages the camera's measurements while the arm stands there. It
     learns from the average when the next episode begins. Each observation of a batch belongs to a different arm.
     Subclasses define how the arms are modelled, corrected and learnt: `meet`, `corrected` and `learn`.
+
+    Attributes:
+        called: Kind of the policy, as error messages name it.
+        ARRIVED: An arm counts as standing still if its largest action is below this share of a joint increment.
     """
 
-    called = "remembering"
-    """Kind of the policy, as error messages name it."""
+    called, ARRIVED = "remembering", 0.02
 
     def __init__(self, env: Any) -> None:
         """Read the nominal arm from ``env``."""
@@ -79,7 +78,7 @@ class LookingReach(ScriptedReach):
             self._joints: Array = np.zeros_like(reading.joints)
             self._sum: Array = np.zeros_like(camera)
         action = self.action(self._wanted - self.commanded(reading.joints))
-        arrived = (np.abs(action).max(axis=-1) < ARRIVED) & self.settled
+        arrived = (np.abs(action).max(axis=-1) < self.ARRIVED) & self.settled
         self._joints = np.where(arrived[:, None], reading.joints, self._joints)
         self._sum += np.where(arrived[:, None], reading.seen - camera, 0.0)
         self._count += arrived
@@ -205,6 +204,8 @@ class FeelingPick(ScriptedPick):
 def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation: str = "raw") -> Policy:
     """Make an `AdaptiveReach` for a level of camera noise; with a compensation it assumes smaller arm errors.
 
+    Their prior standard deviation is then the share `CALIBRATED_PRIOR` of the parameters' tolerances.
+
     Args:
         env: Environment, which gives the nominal arm.
         seed: Not used.
@@ -220,23 +221,19 @@ vars(adaptive).update(feedback=("camera",), sequential=True)
 
 REMEMBERING, REMEMBERING_FORMAT = "policy with a memory", 1
 
-HEADS = 4
-"""Number of attention heads; each weighs the picks of a window in its own way."""
-
-STEEPEST = 20.0
-"""Largest absolute value of an attention logit, the logarithm of an unnormalised weight."""
+HEADS, STEEPEST = 4, 20.0
 
 LSTM = ("input", "input_bias", "state", "state_bias")
 WINDOW = ("near", "near_bias", "query", "key", "value", "value_bias")
-"""`LSTM` and `WINDOW` are the names of the arrays of the two kinds of memory, with the layers next to the inputs
-first."""
 
 State = tuple[Array, Array]
-"""State of a recurrent policy: its hidden output and its cell state, ``(N, units)`` each."""
 
 
 def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -> Any:
     """Compute the attention features of a window of past picks for the next pick, on NumPy or torch.
+
+    Each of `HEADS` heads weighs the picks of a window in its own way. `STEEPEST` is the largest absolute value of an
+    attention logit, the logarithm of an unnormalised weight.
 
     Args:
         xp: The module numpy or torch.
@@ -273,7 +270,7 @@ def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
     Args:
         given: Weight arrays by the names in `LSTM`.
         seen: Observations ``(N, inputs)``.
-        state: Present state.
+        state: Present state: the hidden output and the cell state, ``(N, units)`` each.
     """
     out, cell = state
     gates = seen @ given["input"] + given["input_bias"] + out @ given["state"] + given["state_bias"]
@@ -291,7 +288,8 @@ class RememberingPolicy(Actor):
 
     Attributes:
         memory: Layout of the observations: past picks and the next pick.
-        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`.
+        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`, which begin with the layers next to the
+            inputs.
     """
 
     memory: PickMemory

@@ -34,11 +34,7 @@ TELLING: Mapping[str, tuple[str, str]] = {
     "clip_range": ("stable_baselines3", "PPO"),
     "gae_lambda": ("stable_baselines3", "A2C"),
 }
-"""Module and name of an algorithm, by the name of a setting that only zip files of this algorithm have. The settings
-are tried in this order."""
-
 RECURRENT = ("sb3_contrib", "RecurrentPPO")
-"""Module and name of the algorithm of a zip file with a recurrent policy class, which otherwise looks like PPO."""
 
 
 class Sb3Policy:
@@ -87,9 +83,8 @@ def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
         return _trained(path, env)
     with faults_in(path, "policy"):
         make = runpy.run_path(str(path)).get(MAKER)
-    if make is None:
-        raise InputError(f"{path} defines no {MAKER}(env, seed); let it return an object with act and reset")
-    with faults_in(path, "policy"):
+        if make is None:
+            raise InputError(f"{path} defines no {MAKER}(env, seed); let it return an object with act and reset")
         policy = make(env, seed)
     return _checked(policy, f"{MAKER} of {path}")
 
@@ -143,6 +138,12 @@ def faults_in(path: Path, what: str) -> Iterator[None]:
 
 
 def _trained(path: Path, env: Any) -> Sb3Policy:
+    """Load the policy in a zip file of Stable-Baselines3, whose algorithm its settings tell.
+
+    `TELLING` has module and name of an algorithm by the name of a setting that only zip files of this algorithm have,
+    in the order in which settings are tried. `RECURRENT` is that of a zip file with a recurrent policy class, which
+    otherwise looks like PPO.
+    """
     require("stable_baselines3")
     try:
         with zipfile.ZipFile(path) as archive:
@@ -161,8 +162,8 @@ def _trained(path: Path, env: Any) -> Sb3Policy:
     if scaling is not None and model.observation_space.shape == (scaling.features,):
         return Sb3Policy(model, scaling)
     for kind in ("observation", "action"):
-        learnt, present = getattr(model, f"{kind}_space"), getattr(env, f"{kind}_space")
-        present = getattr(env, f"single_{kind}_space", present)
+        learnt = getattr(model, f"{kind}_space")
+        present = getattr(env, f"single_{kind}_space", getattr(env, f"{kind}_space"))
         if learnt.shape != present.shape or type(learnt) is not type(present):
             raise InputError(f"{path} was trained on {kind}s {learnt}, but the environment has {present}; give its own")
     return Sb3Policy(model)

@@ -111,8 +111,6 @@ def actor_parts(
 
 AnyActor = TypeVar("AnyActor", bound=Actor)
 Parts = Callable[[Mapping[str, Any], Mapping[str, NDArray[Any]]], AnyActor]
-"""Function that makes a policy from the header and the arrays of a file. If it cannot, it raises any type of
-exception."""
 
 
 def read_actor(name: str | Path, arm: Arm | None, kind: str, version: int, make: Parts[AnyActor]) -> AnyActor:
@@ -123,7 +121,8 @@ def read_actor(name: str | Path, arm: Arm | None, kind: str, version: int, make:
         arm: Arm for which the policy must have been trained; None to skip this check.
         kind: Name of the kind of policy that the file must hold, as `Actor.write` stored it.
         version: Newest version of the file's format that is read.
-        make: Function that makes the policy from the file's header and arrays.
+        make: Function that makes the policy from the file's header and arrays. If it cannot, it raises any type of
+            exception.
 
     Raises:
         InputError: If the file is missing, damaged, newer than this program, or of another arm.

@@ -108,7 +108,14 @@ class ReachController:
     from such a reading makes the arm oscillate. The controller therefore predicts the joints as the first reading plus
     all increments sent since. Once the arm has stood still for longer than the delays, a reading that differs from the
     prediction replaces it. Measured gaps are shifted to the predicted joints, as in the predictor of Smith (1957).
+
+    Attributes:
+        COUNTS: Half an encoder count, rad or m. If a reading at rest differs more from the command, the arm did not
+            reach the command.
+        STANDING: Share of an increment below which a joint step counts as standing still.
     """
+
+    COUNTS, STANDING = 2e-5, 1e-3
 
     def __init__(self, env: Any) -> None:
         """Read the nominal geometry and the increments from ``env``, a `pickenv/Reach-v0`, single or native vector."""
@@ -117,7 +124,7 @@ class ReachController:
         self.increment = np.array(self.env.increment)
         situation = self.env.task.situation
         self.lag = int(situation.latency.high + situation.delay.high)
-        self.tolerance = COUNTS + 4.0 * situation.joint_noise.high
+        self.tolerance = self.COUNTS + 4.0 * situation.joint_noise.high
         self.reset()
 
     def reset(self) -> None:
@@ -176,12 +183,4 @@ class ReachController:
         """Record actions ``(..., n)`` that are about to be sent, each as a share of the joint's increment."""
         if self._sent is not None:
             self._sent = np.clip(self._sent + shares * self.increment, self.geometry.lower, self.geometry.upper)
-            self._still = np.where((np.abs(shares) > STANDING).any(axis=-1), 0, self._still + 1)
-
-
-COUNTS = 2e-5
-"""Half an encoder count, rad or m. If a reading at rest differs more from the command, the arm did not reach the
-command."""
-
-STANDING = 1e-3
-"""Share of an increment below which a joint step counts as standing still."""
+            self._still = np.where((np.abs(shares) > self.STANDING).any(axis=-1), 0, self._still + 1)

@@ -84,16 +84,27 @@ class ScriptedScene(ScriptedReach):
     It uses the state observation and the nominal arm. With `feedback="camera"` it stops short of the fruit and
     measures the mean difference between the camera's gap to the fruit and the believed gap. It then corrects its target
     by this difference.
+
+    Attributes:
+        FAR: Position of the tool at the start, along its axis, m at full scale, negative short of the fruit.
+        BEFORE: The same position at the stop.
+        PRESS: The same position at the end of the advance.
+        AWAY: The same position at the end of the retreat.
+        STAND: Number of steps for which the arm stands at the stop short of the fruit.
+        GRIP: Number of steps for which the arm grips.
+        SLOW: Distance per step near the fruit, m at full scale.
+        NEAR: Joint error below which joints have arrived, rad or m.
+        SETTLED: Number of steps for which the arm stands still before the policy measures the gap to the fruit.
+        STRAY: Largest position error of a move that keeps the tool's attitude, as a share of the move. If the error is
+            larger, the attitude may change.
+        MOST_WAITED: Number of steps after which the policy goes on even if the joints have not arrived.
     """
 
     FAR, BEFORE, PRESS, AWAY = -0.2, -0.08, 0.003, -0.4
-    """Positions of the tool along its axis, m at full scale, negative short of the fruit. They are the start, the stop,
-    the end of the advance, and the end of the retreat."""
     STAND, GRIP = 40, 10
-    """Number of steps for which the arm stands at the stop short of the fruit, and for which it grips."""
     _PATIENCE = (0, STAND, 0, GRIP, np.inf)
     SLOW, NEAR = 0.003, 2e-3
-    """Distance per step near the fruit, m at full scale, and joint error below which joints have arrived, rad or m."""
+    SETTLED, STRAY, MOST_WAITED = 16, 0.01, 60
 
     def __init__(self, env: Any) -> None:
         """Read the arm from ``env``."""
@@ -118,15 +129,14 @@ class ScriptedScene(ScriptedReach):
             goal = self._along(self._wanted, self._at * scale)
         else:
             goal = self._drawn(reading.joints, min(self._at, 0.0) * scale)
-        if self._stage == 1 and self._waited > SETTLED and (gap := self._gap(observation, reading)) is not None:
+        if self._stage == 1 and self._waited > self.SETTLED and (gap := self._gap(observation, reading)) is not None:
             self._gaps.append(gap)
         if self._stage >= 2 and self._gaps:
             goal = self._moved(goal, np.mean(self._gaps, axis=0))
         away = goal - reading.joints
-        patience = self._PATIENCE[self._stage]
-        arrived = self._at == end and (float(np.abs(away).max()) < self.NEAR or self._waited > MOST_WAITED)
+        arrived = self._at == end and (float(np.abs(away).max()) < self.NEAR or self._waited > self.MOST_WAITED)
         self._waited += self._at == end
-        if arrived and self._waited > patience:
+        if arrived and self._waited > self._PATIENCE[self._stage]:
             self._stage, self._waited = self._stage + 1, 0
         return np.append(self.action(away), 1.0 if self._stage >= 2 else -1.0).astype(np.float32)
 
@@ -169,7 +179,7 @@ class ScriptedScene(ScriptedReach):
         """
         jacobian = joint_jacobian(self.geometry, joints)
         step = truncated_inverse(jacobian) @ np.concatenate([shift, np.zeros(3)])
-        if np.linalg.norm(jacobian[:3] @ step - shift) > STRAY * np.linalg.norm(shift):  # the attitude gives way
+        if np.linalg.norm(jacobian[:3] @ step - shift) > self.STRAY * np.linalg.norm(shift):  # the attitude gives way
             back = truncated_inverse(jacobian[:3])
             step, free = back @ shift, np.eye(len(joints)) - back @ jacobian[:3]
             step = step - free @ (truncated_inverse(jacobian[3:] @ free) @ (jacobian[3:] @ step))
@@ -218,15 +228,19 @@ class ServoScene(policy.ReachController):
     (`feedback="camera"`). The tool first moves sideways until its axis points at the fruit. It then advances along this
     axis, and retreats once the cup holds the fruit. Without delays the action depends on the present observation only,
     so that a network can learn it (`clone`).
+
+    Attributes:
+        SHARE: Share of the remaining gap that one step removes.
+        MOST: Largest move of one step, m at full scale.
+        TURNS: Largest turn of one step, rad.
+        PRESS: Distance of the aim beyond the fruit, m at full scale.
+        BACK: Retreat per step, m at full scale.
+        FUNNEL: Two numbers that set the lateral distance from tool axis to fruit at which the advance slows to 1/e. It
+            is the larger of two: the first number, m at full scale, and the second number times the remaining gap.
     """
 
     SHARE, MOST, TURNS = 0.25, 0.015, 0.03
-    """Share of the remaining gap that one step removes, largest move of one step, m at full scale, and largest turn of
-    one step, rad."""
     PRESS, BACK, FUNNEL = 0.01, -0.012, (0.004, 0.25)
-    """`PRESS` is the distance of the aim beyond the fruit and `BACK` the retreat per step, both m at full scale.
-    `FUNNEL` sets the lateral distance from tool axis to fruit at which the advance slows to 1/e. This distance is the
-    larger of two: the first number, m at full scale, and the second number times the remaining gap."""
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Return the next action ``(n + 1,)``, with suction on.
@@ -251,21 +265,7 @@ class ServoScene(policy.ReachController):
         return np.append(self.action(joints), 1.0).astype(np.float32)
 
 
-SETTLED = 16
-"""Number of steps for which the arm stands still before the policy measures the gap to the fruit."""
-
-STRAY = 0.01
-"""Largest position error of a move that keeps the tool's attitude, as a share of the move. If the error is larger, the
-attitude may change."""
-
-MOST_WAITED = 60
-"""Number of steps after which the policy goes on even if the joints have not arrived."""
-
 # The oracle: a policy that knows the true arm. What remains with it, no calibration can remove.
-
-
-ITERATIONS = 6
-"""Number of Newton steps from the nominal solution; three are enough for errors of millimetres."""
 
 
 class OracleReach(ScriptedReach):
@@ -283,7 +283,7 @@ class OracleReach(ScriptedReach):
 def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
     """Return joints ``(..., n)`` near ``joints``, rad or m, at which the true arm at rest has its tool at ``pose``."""
     nominal = plant.arm.nominal
-    for _ in range(ITERATIONS):
+    for _ in range(6):  # Newton steps from the nominal solution; three are enough for errors of millimetres
         back = truncated_inverse(joint_jacobian(plant.geometry, joints))
         joints = joints + np.einsum("...ij,...j->...i", back, pose_error(plant.tool_pose(joints), pose))
         joints = joints.clip(nominal.lower, nominal.upper)
@@ -346,27 +346,23 @@ class ServoReach(ScriptedReach):
 # argument, so that it can be learnt (`scripts/studies/policy_search.py`). Units: m, rad, s.
 
 
-PICK_ARRIVED = 2e-4
-"""Joint error below which a joint counts as arrived, m or rad."""
-
-PASSED = 10.0
-"""Factor on the arrival tolerance, for all waypoints but the fruit itself."""
-
-GENTLE = 0.75
-"""Tool speed as a share of the speed that bruises fruit; the margin is for swing and following error."""
-
 HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
 
 OUT, BELOW, AT = range(3)
-"""Indices of the three waypoints to a fruit: below the fruit tried last, below this fruit, and at this one."""
 
 
 class ScriptedPick(policy.ReachController):
     """Scripted policy for `pickenv/Pick-v0`: approach each fruit from below, stand still for `settle` s, and grasp.
 
     Numeric arguments except ``iterations`` take one value, or one value for each environment of a vector.
+
+    Attributes:
+        PASSED: Factor on the arrival tolerance, for all waypoints but the fruit itself.
+        GENTLE: Tool speed as a share of the speed that bruises fruit; the margin is for swing and following error.
     """
+
+    PASSED, GENTLE = 10.0, 0.75
 
     def __init__(
         self,
@@ -376,7 +372,7 @@ class ScriptedPick(policy.ReachController):
         tool_speed: ArrayLike | None = None,
         *,
         gain: ArrayLike = 1.0,
-        arrived: ArrayLike = PICK_ARRIVED,
+        arrived: ArrayLike = 2e-4,
         aim: ArrayLike = (0.0, 0.0, 0.0),
         patience: ArrayLike = np.inf,
         iterations: int = 25,
@@ -398,7 +394,7 @@ class ScriptedPick(policy.ReachController):
         """
         super().__init__(env)
         self.period: float = self.env.task.situation.period.high  # the increments are those of this period
-        gentle = GENTLE * self.env.orchard.station.bruise_speed
+        gentle = self.GENTLE * self.env.orchard.station.bruise_speed
         self.settle, self.approach, self.aim = (np.asarray(value, dtype=float) for value in (settle, approach, aim))
         self.tool_speed = np.asarray(gentle if tool_speed is None else tool_speed, dtype=float)
         self.gain, self.arrived, self.patience = (np.asarray(value, dtype=float) for value in (gain, arrived, patience))
@@ -430,7 +426,7 @@ class ScriptedPick(policy.ReachController):
             some = 0 if single else new
             self._plan(some, joints[some], fruit[some], turn[some])
         for _ in (OUT, BELOW):
-            near = self._away(joints, self._way[rows, self._place]) < self.arrived * PASSED
+            near = self._away(joints, self._way[rows, self._place]) < self.arrived * self.PASSED
             self._place += seeking & (self._place < AT) & near
         goals = self._way[rows, np.where(off, BELOW, self._place)]
         # Standing still is asked of the command: corrections smaller than the encoders' counts would never end.
@@ -446,7 +442,7 @@ class ScriptedPick(policy.ReachController):
         return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
-        """Plan three waypoints: below the fruit tried last, below the next fruit, and at the next fruit.
+        """Plan three waypoints: below the fruit tried last (`OUT`), below the next fruit (`BELOW`), and at it (`AT`).
 
         Args:
             rows: Indices of the r environments, from 0.
@@ -506,12 +502,6 @@ class OraclePick(ScriptedPick):
 # the observation alone, and works for the Gymnasium environment and for PettingZoo's.
 
 
-SLAVE_ARRIVED = 1e-3
-"""Joint error below which a joint of a slave (picking arm) counts as arrived, m or rad."""
-PATIENCE = 3
-"""Number of control periods that a raised cup waits for its sensor before it gives up."""
-
-
 @dataclass(eq=False)
 class _Arm:
     """State of one slave (picking arm): indices of its fruit still to pick, its present fruit, and the pick's phase."""
@@ -526,7 +516,13 @@ class ScriptedHarvest:
     """Scripted policy for `pickenv/Harvest-v0` that drives every slave (picking arm) through its planned picks.
 
     A slave goes out to a fruit only if it cannot collide with another slave that is out at a fruit.
+
+    Attributes:
+        ARRIVED: Joint error below which a joint of a slave counts as arrived, m or rad.
+        PATIENCE: Number of control periods that a raised cup waits for its sensor before it gives up.
     """
+
+    ARRIVED, PATIENCE = 1e-3, 3
 
     def __init__(self, env: Any) -> None:
         """Read the machine from ``env``, a `pickenv/Harvest-v0` of Gymnasium or PettingZoo, wrapped or not."""
@@ -537,11 +533,9 @@ class ScriptedHarvest:
     def reset(self) -> None:
         """Forget the last zone."""
         self._arms = [_Arm() for _ in range(self.machine.arms)]
-        self._work: Work | None = None
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the next action of all joints of the machine ``(3 + 3 arms,)``."""
-        machine = self.machine
         joints, busy, fruit, hangs = self._decoded(np.asarray(observation, dtype=float))
         if hangs.any() and all(arm.fruit is None and not arm.queue for arm in self._arms):
             self._plan(joints[:3], fruit, hangs)
@@ -550,9 +544,8 @@ class ScriptedHarvest:
             mine = slice(3 + 3 * i, 6 + 3 * i)
             goals[mine] = self._goal(i, arm, joints[mine], bool(busy[i] > 0), hangs)
         share = (goals - joints) / self.task.increment
-        for i in range(machine.arms):  # swing and stretch keep step, as the plan's clearances suppose
-            both = slice(4 + 3 * i, 6 + 3 * i)
-            share[both] /= max(1.0, float(np.abs(share[both]).max()))
+        pairs = share[3:].reshape(-1, 3)[:, 1:]  # swing and stretch keep step, as the plan's clearances suppose
+        pairs /= np.maximum(1.0, np.abs(pairs).max(axis=1, keepdims=True))
         return np.asarray(share.clip(-1.0, 1.0), dtype=np.float32)
 
     def act_together(self, observations: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
@@ -576,10 +569,9 @@ class ScriptedHarvest:
         return joints, values[n : n + machine.arms], machine.frame3(joints[:3]) + away, slots[:, 3] > 0.5
 
     def _plan(self, master: Array, fruit: Array, hangs: NDArray[np.bool_]) -> None:
-        work = zone_work(self.machine, master, fruit)
-        work.reached[:, ~hangs] = False
-        self._work = work
-        for arm, queue in zip(self._arms, assign(work, "search"), strict=True):
+        self._work: Work = zone_work(self.machine, master, fruit)
+        self._work.reached[:, ~hangs] = False
+        for arm, queue in zip(self._arms, assign(self._work, "search"), strict=True):
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
@@ -592,33 +584,31 @@ class ScriptedHarvest:
             cutting: Whether the slave's blade is closing.
             hangs: Flags of the fruit that hangs in reach.
         """
-        home, work = self.machine.slave_home, self._work
         if arm.fruit is None:
-            if not arm.queue or work is None:
+            if not arm.queue:
                 return here
             arm.fruit, arm.phase, arm.waited = arm.queue.pop(0), "travel", 0
-        assert work is not None
+        home, work = self.machine.slave_home, self._work
         at, low = work.joints[i, arm.fruit], float(work.approach[arm.fruit])
         below = np.array([at[0] - low, *home[1:]])
-        if arm.phase == "travel" and np.abs(here - below).max() < SLAVE_ARRIVED and self._clear(i, arm.fruit):
+        if arm.phase == "travel" and np.abs(here - below).max() < self.ARRIVED and self._clear(i, arm.fruit):
             arm.phase = "out"
         out = np.array([at[0] - low, *at[1:]])
-        if arm.phase == "out" and np.abs(here - out).max() < SLAVE_ARRIVED:
+        if arm.phase == "out" and np.abs(here - out).max() < self.ARRIVED:
             arm.phase = "rise"
         if arm.phase == "rise":
-            arm.waited += cutting or abs(here[0] - at[0]) < SLAVE_ARRIVED
-            if not cutting and (arm.waited > PATIENCE or not hangs[arm.fruit]):
+            arm.waited += cutting or abs(here[0] - at[0]) < self.ARRIVED
+            if not cutting and (arm.waited > self.PATIENCE or not hangs[arm.fruit]):
                 arm.phase = "back"
         if arm.phase == "back":
             drawn_in = np.array([here[0], *home[1:]])
-            if np.abs(here - drawn_in).max() < SLAVE_ARRIVED:
+            if np.abs(here - drawn_in).max() < self.ARRIVED:
                 arm.fruit = None
             return drawn_in
         return {"travel": below, "out": out, "rise": np.asarray(at)}[arm.phase]
 
     def _clear(self, i: int, fruit: int) -> bool:
         """Return whether slave ``i`` can go out to ``fruit``, indices from 0, without hitting a slave that is out."""
-        assert self._work is not None
         return not any(
             arm.fruit is not None and arm.phase != "travel" and self._work.conflict[i, fruit, k, arm.fruit]
             for k, arm in enumerate(self._arms)

@@ -21,11 +21,6 @@ from pickenv.wrappers import MOST_SEEN, PickMemory, Scaling, joined_observation
 # share. The entropy is that of the actor's output before the multiplication.
 
 
-MOST = 3.0
-"""Bound on the actions that critics read, which are divided by the factor `ScaledFeatures.share`. It matters for
-hindsight goals: they lie near the tool, where this factor is near zero."""
-
-
 class ScaledFeatures(BaseFeaturesExtractor):
     """Feature extractor that scales observations; it has no trained parameters."""
 
@@ -68,11 +63,18 @@ class _ScaledActions:
 
 
 class _ScaledValues:
-    """Mixin for critics that divides the actions that they read by the factor `ScaledFeatures.share`."""
+    """Mixin for critics that divides the actions that they read by the factor `ScaledFeatures.share`.
+
+    Attributes:
+        MOST: Bound on these divided actions. It matters for hindsight goals: they lie near the tool, where the factor
+            is near zero.
+    """
+
+    MOST = 3.0
 
     def forward(self, obs: Any, actions: th.Tensor) -> Any:
         """Return each critic's value of actions at observations ``obs``."""
-        return super().forward(obs, (actions / _scaling(self).share(obs)).clamp(-MOST, MOST))  # type: ignore[misc]
+        return super().forward(obs, (actions / _scaling(self).share(obs)).clamp(-self.MOST, self.MOST))  # type: ignore[misc]
 
 
 class SacActor(_ScaledActions, sac.Actor):
@@ -126,22 +128,24 @@ class TqcPolicy(_ScaledNetworks, tqc.TQCPolicy):
 # `pickenv.wrappers.SameArm` with a window. Its encoder is `pickenv.agents.policies.adaptive.attended`, run by torch.
 
 
-WIDTH, MADE = 32, 16
-"""`WIDTH` is the size of keys and queries, a multiple of `HEADS`. `MADE` is the number of learnt features of each pick,
-which are used beside its measured error."""
-
-
 class HistoryFeatures(BaseFeaturesExtractor):
-    """Feature extractor for the next pick that weighs a window of past picks by attention."""
+    """Feature extractor for the next pick that weighs a window of past picks by attention.
+
+    Attributes:
+        WIDTH: Size of keys and queries, a multiple of `HEADS`.
+        MADE: Number of learnt features of each pick, which are used beside its measured error.
+    """
+
+    WIDTH, MADE = 32, 16
 
     def __init__(self, observation_space: spaces.Box) -> None:
         """Make the extractor for the observation space of `pickenv.wrappers.SameArm` with a window of past picks."""
         window = int((observation_space.high == MOST_SEEN).sum()) // 3
         memory = PickMemory((observation_space.shape[0] - 4 * window) // (1 + window), window)
-        super().__init__(observation_space, memory.joints + HEADS * (3 + MADE) + 1)
+        super().__init__(observation_space, memory.joints + HEADS * (3 + self.MADE) + 1)
         self.memory = memory
-        sizes = dict.fromkeys(("near", "query", "key", "value"), (WIDTH, WIDTH))
-        sizes |= {"near": (memory.joints, WIDTH), "value": (WIDTH + 3, MADE)}
+        sizes = dict.fromkeys(("near", "query", "key", "value"), (self.WIDTH, self.WIDTH))
+        sizes |= {"near": (memory.joints, self.WIDTH), "value": (self.WIDTH + 3, self.MADE)}
         arrays = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
         for value in arrays.values():
             th.nn.init.orthogonal_(value, 1.0 if value.shape[0] != value.shape[1] else np.sqrt(2.0))

@@ -28,15 +28,8 @@ from pickenv.agents.policies.adaptive import RememberingPolicy
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.training import training_setup
 from pickenv.agents.training.training_setup import Inputs, Training
-from pickenv.base import (
-    InputError,
-    locked,
-    read_container,
-    refusing_damage,
-    torch_on_one_thread,
-    write_container,
-    write_json,
-)
+from pickenv.base import InputError, locked, torch_on_one_thread, write_json
+from pickenv.base.container import read_container, refusing_damage, write_container
 from pickenv.wrappers import Sb3Vec
 
 KIND, FORMAT = "checkpoint", 3
@@ -44,24 +37,21 @@ STATE = "state.pt"
 AGAIN = "start the training again"
 
 LIMIT = 1 << 35
-"""Largest size of a checkpoint, in bytes (32 GiB); it includes the replay buffer."""
 
 EPISODES = "_current_ep_start"
 SEEN = ("observations", "next_observations")
 BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", EPISODES, *SEEN)
-"""Names of the arrays that a replay buffer may have. All arrays but `EPISODES` are as long as the buffer."""
 
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 PARTS = {
     *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
     *("last", "starts", "env", "buffer", "memory"),
 }
-"""Names of the parts of a checkpoint's state."""
+"""Names of the parts of a checkpoint's state, on which the continuation of a training depends."""
 
 
 Evaluations = list[dict[str, float]]
 State = dict[str, Any]
-"""State of a training, by the names in `PARTS`: everything on which its continuation depends."""
 
 
 def save_checkpoint(
@@ -101,7 +91,7 @@ def save_checkpoint(
 def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
     """Return the settings, input hashes, evaluations so far and state of the training in a checkpoint.
 
-    Nothing in the file is executed.
+    Nothing in the file is executed. A checkpoint has at most `LIMIT` bytes (32 GiB), the replay buffer included.
 
     Raises:
         InputError: If the file is missing, damaged in any byte, or of another version.
@@ -118,8 +108,7 @@ def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
         if set(state) != PARTS:
             raise ValueError("its state is not that of a training")
         rows = [{str(key): float(value) for key, value in row.items()} for row in header["evaluations"]]
-        inputs = {name: header["inputs"][name] for name in ("arms", "calibration")}
-        return Training(**settings), inputs, rows, state
+        return Training(**settings), {name: header["inputs"][name] for name in ("arms", "calibration")}, rows, state
 
 
 def _is_a(value: Any, kind: Any) -> bool:
@@ -159,14 +148,16 @@ def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None
 
 
 def _buffer(model: Any) -> dict[str, Any]:
+    """Return the filled part of a model's replay buffer, empty without a buffer.
+
+    `BUFFER` names the arrays that a replay buffer may have. All arrays but `EPISODES` are as long as the buffer.
+    """
     if (buffer := getattr(model, "replay_buffer", None)) is None:
         return {}
     filled = buffer.buffer_size if buffer.full else buffer.pos
-    parts: dict[str, Any] = {"pos": int(buffer.pos), "full": bool(buffer.full)}
-    for key in BUFFER:
-        if hasattr(buffer, key):
-            parts[key] = _tensors(getattr(buffer, key), None if key == EPISODES else filled)
-    return parts
+    rows = {key: None if key == EPISODES else filled for key in BUFFER if hasattr(buffer, key)}
+    arrays = {key: _tensors(getattr(buffer, key), count) for key, count in rows.items()}
+    return {"pos": int(buffer.pos), "full": bool(buffer.full), **arrays}
 
 
 def _take_buffer(model: Any, parts: dict[str, Any]) -> None:

@@ -126,9 +126,6 @@ def _stored(name: str, value: Any) -> Any:
 
 
 Inputs = dict[str, str | None]
-"""Hashes of a training's inputs besides its settings. "arms" holds one hash per plant (the true arm with its errors),
-separated by spaces. Each hash is over the parameters of plant, arm and tolerance class. "calibration" is the SHA-256
-of the calibration file, or None."""
 
 
 def arguments_of(training: Training) -> list[dict[str, Any]]:
@@ -198,7 +195,11 @@ def make_runs(training: Training, count: int, mode: str) -> SameArmVector | Same
 
 
 def inputs_of(training: Training) -> Inputs:
-    """Compute the hashes of a training's arms and of its calibration file in their present state; see `Inputs`.
+    """Compute the hashes of a training's inputs besides its settings, in their present state.
+
+    Returns:
+        "arms" holds one hash per plant (the true arm with its errors), separated by spaces. Each hash is over the
+        parameters of plant, arm and tolerance class. "calibration" is the SHA-256 of the calibration file, or None.
 
     Raises:
         InputError: If the calibration is missing or of another arm, or the file of a plant (true arm) is refused.
@@ -266,13 +267,11 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     goals = isinstance(inner, ReachVectorEnv) and inner.goal_dict
     if goals and training.algorithm == "ppo":
         raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
-    if remembering is not None:
-        env = Sb3Vec(inner)
-    elif isinstance(inner, PickVectorEnv):
-        env = Sb3Vec(ToolSteppingVector(inner, **settings))
-    else:
-        scaled = goals or isinstance(inner, ReachToolVectorEnv)
-        env = Sb3Vec(inner if scaled else GapScalingVector(inner, training.scaled_actions))
+    if isinstance(inner, PickVectorEnv):
+        inner = ToolSteppingVector(inner, **settings)
+    elif remembering is None and not goals and not isinstance(inner, ReachToolVectorEnv):
+        inner = GapScalingVector(inner, training.scaled_actions)
+    env = Sb3Vec(inner)
     if goals:
         parameters["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
         parameters["replay_buffer_class"] = HerReplayBuffer
@@ -298,10 +297,10 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
     layers = [layer for layer in (*hidden, last) if isinstance(layer, torch.nn.Linear)]
     inner = env.envs.unwrapped
     arm = inner.task.plant.arm
-    record = {"training": asdict(training), "steps": int(model.num_timesteps)}
-    record |= {"versions": versions("gymnasium", "stable-baselines3", "torch")}
+    written_by = versions("gymnasium", "stable-baselines3", "torch")
     common: dict[str, Any] = {
-        **{"algorithm": training.algorithm, "arm": arm.name, "arm_fingerprint": arm.fingerprint(), "record": record},
+        **{"algorithm": training.algorithm, "arm": arm.name, "arm_fingerprint": arm.fingerprint()},
+        "record": {"training": asdict(training), "steps": int(model.num_timesteps), "versions": written_by},
         "weights": tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
         "biases": tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
     }
@@ -391,13 +390,12 @@ def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
 
 
 def _value(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    if value.startswith("lin_"):
-        start = float(value[4:])
+    text = value if isinstance(value, str) else ""
+    if text.startswith("lin_"):
+        start = float(text[4:])
         return lambda remaining: remaining * start  # a schedule that falls evenly to zero
-    if value.startswith("dict("):
-        call = ast.parse(value, mode="eval").body
+    if text.startswith("dict("):
+        call = ast.parse(text, mode="eval").body
         assert isinstance(call, ast.Call)
         return {word.arg: ast.literal_eval(word.value) for word in call.keywords}
     return value

@@ -29,10 +29,8 @@ if TYPE_CHECKING:
 PLAIN = "PICKENV_PLAIN_PICTURES"
 """Environment variable that, if set, makes Pillow draw all pictures, even if MuJoCo is installed."""
 TRIAL = "pickenv.pictures.mujoco_drawer"
-"""Module that is run in another process to test whether MuJoCo can draw."""
 
 FINER = 2
-"""Factor by which pictures are drawn larger and then reduced, for smooth edges."""
 NEAREST = 0.05
 LIGHT = np.array([-0.45, 0.65, -0.6]) / np.linalg.norm([0.45, 0.65, 0.6])
 """Unit vector towards the lamp, with components to the right, up, and from the viewer into the scene."""
@@ -42,11 +40,7 @@ SHADE = 0.72
 MARGIN = 8
 SMALL, LARGE = 1 / 26, 1 / 19
 """Heights of letters, as shares of the picture's height."""
-DIAL = 0.27
-"""Width of the dial, as a share of the picture's height."""
-SHOWN, RIM = 2.2, 0.93
-"""`SHOWN` is the radius of the dial as a multiple of its ring's radius. Misses beyond the dial are drawn at the share
-`RIM` of its radius."""
+DIAL, SHOWN, RIM = 0.27, 2.2, 0.93
 PLATE = {False: (255, 255, 255, 205), True: (20, 23, 29, 205)}
 """Colour and opacity of the plates behind words and dial, for a light (False) and a dark (True) background."""
 
@@ -70,7 +64,10 @@ def drawer_name() -> str:
 
 
 def why_plain() -> str | None:
-    """Return a sentence that says why pictures are drawn with Pillow; None if MuJoCo draws them."""
+    """Return a sentence that says why pictures are drawn with Pillow; None if MuJoCo draws them.
+
+    The module `TRIAL` is run in another process to test whether MuJoCo can draw.
+    """
     require("matplotlib")
     if os.environ.get(PLAIN):
         return f"Pictures are drawn plainly, as {PLAIN} asks."
@@ -90,7 +87,10 @@ def _mujoco(process: int) -> MujocoDrawer:
 
 
 def draw_plainly(stage: Stage) -> Pixels:
-    """Draw a stage with Pillow, without its words and dial, as RGB pixels ``(height, width, 3)``."""
+    """Draw a stage with Pillow, without its words and dial, as RGB pixels ``(height, width, 3)``.
+
+    It is drawn `FINER` times as large and then reduced, for smooth edges.
+    """
     size = width, height = FINER * stage.size[0], FINER * stage.size[1]
     upper, lower = (np.array(colour, dtype=float) for colour in backdrop(stage.dark))
     share = np.linspace(0.0, 1.0, height)[:, None]
@@ -198,6 +198,10 @@ def _write(
 
 
 def _draw_dial(pen: ImageDraw.ImageDraw, dial: Dial, stage: Stage) -> None:
+    """Draw the dial, whose width is the share `DIAL` of the picture's height, into the lower right corner.
+
+    Its radius is `SHOWN` times its ring's radius. Misses beyond the dial are drawn at the share `RIM` of its radius.
+    """
     width, height = stage.size
     half = DIAL * height / 2
     x, y = width - MARGIN - half, height - MARGIN - half

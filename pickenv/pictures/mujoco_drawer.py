@@ -21,9 +21,7 @@ from pickenv.pictures.shapes import all_triangles, mesh_triangles
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Pixels, Rods, Stage, backdrop
 
 NEAR, FAR = 0.02, 100.0
-"""Smallest and largest distance from the viewpoint at which bodies are visible, m."""
 LIGHTS = (((-0.6, 0.9, 1.0), 0.85), ((0.8, 0.2, 1.0), 0.4), ((0.0, -0.5, 1.0), 0.35))
-"""Direction to each light (components to the right, up, and from the scene to the viewer), and its strength."""
 AMBIENT, DIFFUSE, SPECULAR, SHININESS = 0.3, 0.8, 0.18, 24 / 128
 
 
@@ -163,7 +161,9 @@ class MujocoDrawer:
     def _look(self, eye: Eye, aspect: float) -> None:
         """Set the camera, the lights that move with it, and the background plane, whose middle half is visible.
 
-        ``aspect`` is the width of the picture over its height.
+        ``aspect`` is the width of the picture over its height. Bodies are visible at distances from `NEAR` to `FAR`, m,
+        from the viewpoint. `LIGHTS` has the direction to each light (components to the right, up, and from the scene to
+        the viewer), and its strength.
         """
         right, up, ahead = eye.axes()
         axes, slope = np.array([right, up, -ahead]), np.tan(np.radians(eye.angle_deg) / 2)

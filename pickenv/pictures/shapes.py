@@ -132,13 +132,10 @@ def _fans(count: int) -> NDArray[np.intp]:
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
 BARK, STEM = (122, 92, 66), (104, 84, 52)
 GROUND = {False: ((226, 230, 220), (214, 220, 208)), True: ((52, 58, 64), (46, 52, 58))}
-"""The two colours of the ground's squares, for a light (False) and a dark (True) background."""
 CRATE = (0.28, 0.8)
-"""Position of the crate's corner on the picture, as shares of the picture's width and height."""
 SQUARE, SPREAD = 0.5, 6.0
 TWIG = 0.09
 BRIGHTER = 1.35
-"""Factor by which leaves are brighter here than in the images of a simulated camera."""
 
 
 def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: ArrayLike = True) -> Solids:
@@ -171,6 +168,7 @@ def sprig(place: Array, diameter: float) -> Solids:
 
 
 def _leaves(places: Array, rng: np.random.Generator) -> Mesh:
+    """Return the mesh of apple leaves, brighter by the factor `BRIGHTER` than in the images of a simulated camera."""
     look = load_look("red_apples")
     return leaf_mesh(places, look.leaf_length, look.leaf_width, BRIGHTER * np.array(look.leaf), rng)
 
@@ -209,7 +207,8 @@ def _branch(start: ArrayLike, end: ArrayLike, radius: float) -> Mesh:
 def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
     """Return the mesh of level ground around the point ``x``, ``y``, m, at a ``height``, m, in the world frame.
 
-    ``dark`` says whether the background is dark. Equal arguments give the same object.
+    ``dark`` says whether the background is dark; `GROUND` has the two colours of the ground's squares for either.
+    Equal arguments give the same object.
     """
     return chequered((x - SPREAD / 2, y - SPREAD / 2), (x + SPREAD / 2, y + SPREAD / 2), height, SQUARE, GROUND[dark])
 
@@ -225,6 +224,8 @@ def pedestal(geometry: Geometry, ground: float) -> Mesh:
 
 def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: float) -> Solids:
     """Return the solids of a crate on legs with picked fruit, in the lower left of the picture.
+
+    `CRATE` is the position of the crate's corner on the picture, as shares of the picture's width and height.
 
     Args:
         eye: The viewpoint.
@@ -245,8 +246,7 @@ def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: 
     end = np.concatenate([corner + np.roll(edge, -1, axis=0) + [0.0, 0.0, z] for z in (0.0, 0.6 * along)])
     feet = (corner + edge) * [1.0, 1.0, 0.0] + [0.0, 0.0, ground]
     start, end = np.concatenate([start, feet]), np.concatenate([end, corner + edge])
-    slats = Rods(start, end, np.full(12, 0.008), rgba((196, 160, 110), 12))
-    return (slats,), balls, ()
+    return (Rods(start, end, np.full(12, 0.008), rgba((196, 160, 110), 12)),), balls, ()
 
 
 def fruit_colours(count: int) -> Array:
@@ -255,19 +255,14 @@ def fruit_colours(count: int) -> Array:
 
 
 GAIN = 20
-"""Factor by which the ghost exaggerates the distance between the true arm and the believed arm."""
 LINK, JOINT, METAL, GRIPPER = (236, 239, 243), (58, 68, 82), (168, 176, 188), (70, 78, 90)
 GHOST: Rgb = (52, 110, 200)
 FAINT = 0.42
 """Opacity of the ghost, from 0 to 1."""
-THICKNESS = 0.028
-"""Radius of the first link, as a share of the arm's length; the last link has `TAPER` times this radius."""
-WALL = 0.0035
-"""Thickness of a drawn cup's wall, m."""
+THICKNESS, WALL = 0.028, 0.0035
 CUP_RADIUS = 0.0375
 """Default radius of a cup, m, for a fruit of 60 mm."""
 FOOT = 1.9
-"""Distance from the fruit in a cup to the end of the arm, as a multiple of the cup's radius."""
 TAPER, TELESCOPE, CAP = 0.5, 0.55, 1.28
 
 
@@ -298,7 +293,11 @@ class ArmLook:
 
 @lru_cache(maxsize=8)
 def arm_look(geometry: Geometry) -> ArmLook:
-    """Compute the look of an arm from sampled poses: the segments to draw, their thickness, and the space they fill."""
+    """Compute the look of an arm from sampled poses: the segments to draw, their thickness, and the space they fill.
+
+    The radius of the first link is the share `THICKNESS` of the arm's length; the last link has `TAPER` times this
+    radius.
+    """
     points = nominal_points(geometry, halton_joints(geometry, 256))
     parts = drawn_parts(points)
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)[:, parts]
@@ -311,6 +310,8 @@ def arm_look(geometry: Geometry) -> ArmLook:
 
 def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = None) -> Solids:
     """Return the solids of links, joints and telescopes along a polyline, up to the foot of a gripper.
+
+    The foot is `FOOT` radii of a cup away from the fruit in the cup.
 
     Args:
         look: The look of the arm.
@@ -328,8 +329,7 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
     reach = np.minimum(1.0, look.sleeve / length)[:, None]
     sleeve = (start + along * reach)[outer]
     tubes = Rods(start[outer], sleeve, look.radius[outer], rgba(accent or LINK, len(sleeve)))
-    joints = spheres(start, CAP * look.radius, rgba(JOINT, len(start)))
-    return (inner, tubes), (joints,), ()
+    return (inner, tubes), (spheres(start, CAP * look.radius, rgba(JOINT, len(start))),), ()
 
 
 def arm_at_work(
@@ -355,7 +355,7 @@ def arm_at_work(
 
 
 def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
-    """Return the solids of a cup that holds the lower half of a fruit.
+    """Return the solids of a cup with a wall of `WALL`, m, that holds the lower half of a fruit.
 
     Args:
         tool: Position of the fruit ``(3,)``, m.

@@ -19,7 +19,6 @@ Pixels = NDArray[np.uint8]
 SIZE = (480, 360)
 """Default width and height of a picture, px."""
 FIT = 1.06
-"""Factor by which `fitted_eye` is farther away than necessary, so that nothing touches the picture's edge."""
 CORNERS = ("top left", "top right", "bottom left", "bottom right")
 
 
@@ -153,7 +152,9 @@ class Eye:
 
 
 def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg: float = 30.0) -> Eye:
-    """Return the nearest viewpoint whose picture shows all points.
+    """Return a viewpoint whose picture shows all points.
+
+    It is farther away than necessary by the factor `FIT`, so that nothing touches the picture's edge.
 
     Args:
         points: The points ``(N, 3)``, m.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from typing import Any, SupportsFloat, TypeAlias, TypeVar
+from collections.abc import Collection, Sequence
+from typing import Any, SupportsFloat, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -12,13 +12,10 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 from pickenv.base import InputError, obey
+from pickenv.envs.shared.task import Compensate as Compensate
 
 Observation = TypeVar("Observation")
 Action = TypeVar("Action")
-
-
-Compensate: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""A function that maps the nominal arm's joint targets to the real arm's joint commands, ``(..., n)`` each (rad, m)."""
 
 
 class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):

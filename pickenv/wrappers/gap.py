@@ -31,16 +31,17 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
         scaling: The formulas that rescale observations and actions and give the potential (how near the goal is).
         shaping: Discount of the learner, or None for no reward shaping. With shaping, the discounted potential after
             a step, minus the potential before the step, is added to the step's reward.
+
+    Attributes:
+        raw: The latest observation, before rescaling.
     """
 
     def __init__(self, env: gym.Env[Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
         gym.Wrapper.__init__(self, env)
-        inner: Any = env.unwrapped
-        self.scaling, self._most, self._shaping = scaling, inner.task.most_action, shaping
+        self.scaling, self._most, self._shaping = scaling, env.get_wrapper_attr("task").most_action, shaping
         self.observation_space = scaling.space
         self.action_space = scaling.answers or env.action_space
         self.raw: Any = np.zeros(scaling.inputs, dtype=np.float32)
-        """The latest observation, before rescaling."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, and return the rescaled observation and the info."""
@@ -58,7 +59,11 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
-    """Wrapper that rescales observations and actions of native vector environments; arguments as for `ScaledEnv`."""
+    """Wrapper that rescales observations and actions of native vector environments; arguments as for `ScaledEnv`.
+
+    Attributes:
+        raw: The latest observations, before rescaling.
+    """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
         VectorWrapper.__init__(self, env)
@@ -70,7 +75,6 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
             self.single_action_space = scaling.answers
             self.action_space = batch_space(scaling.answers, self.num_envs)
         self.raw: Any = np.zeros((self.num_envs, scaling.inputs), dtype=np.float32)
-        """The latest observations, before rescaling."""
         self._idle = np.zeros(self.num_envs, dtype=np.bool_)
 
     @property

@@ -150,10 +150,10 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """
         RecordConstructorArgs.__init__(self, nominal=nominal, true=true, compensator=compensator, contact=contact)
         gym.Wrapper.__init__(self, env)
-        inner: Any = env.unwrapped
-        goals = hasattr(inner, "compute_reward") and "achieved_goal" in getattr(env.observation_space, "spaces", {})
-        if not (goals or contact):
-            lacks = f"{type(inner).__name__} has no achieved_goal and compute_reward"
+        self._inner: Any = env.unwrapped
+        parts = getattr(env.observation_space, "spaces", {})
+        if not (contact or (hasattr(self._inner, "compute_reward") and "achieved_goal" in parts)):
+            lacks = f"{type(self._inner).__name__} has no achieved_goal and compute_reward"
             raise InputError(f"{lacks}; wrap a goal environment, or give contact=True")
         _physics(env)
         truth = true.geometry if isinstance(true, Plant) else true
@@ -161,16 +161,14 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise InputError(f"the true arm has {truth.joints} joints, the nominal one {nominal.joints}; give one arm")
         if isinstance(true, Plant) and true.has_state:
             raise InputError(f"plant '{true.name}' has effects with a memory; switch them off (without=…)")
-        self._nominal, self._true, self._compensator = nominal, true, compensator
-        self._contact = contact
+        self._nominal, self._true, self._compensator, self._contact = nominal, true, compensator, contact
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; `info` gets the entries that the class describes."""
         self._put_back()
         observation, info = self.env.reset(seed=seed, options=options)
         if self._contact:
-            inner: Any = self.env.unwrapped
-            inner.hung_on_tool = _Hung(*_physics(self.env), self._nominal)  # where the next wrapper finds it
+            self._inner.hung_on_tool = _Hung(*_physics(self.env), self._nominal)  # where the next wrapper finds it
         return observation, self._judged(observation, info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
@@ -178,8 +176,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         observation, reward, terminated, truncated, info = self.env.step(action)
         info = self._judged(observation, info)
         if not self._contact:
-            inner: Any = self.env.unwrapped
-            reward = float(inner.compute_reward(self._achieved, observation["desired_goal"], info))
+            reward = float(self._inner.compute_reward(self._achieved, observation["desired_goal"], info))
         return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
@@ -199,17 +196,16 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return forward(self._nominal, joints), true
 
     def _put_back(self) -> None:
-        if (hung := getattr(self.env.unwrapped, "hung_on_tool", None)) is not None:
+        if (hung := getattr(self._inner, "hung_on_tool", None)) is not None:
             hung.put(None)
 
     def _judged(self, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
         nominal, true = self._tools()
         error = pose_error(nominal, true)[:3]
         info = dict(info) | {"tool_error_mm": float(np.linalg.norm(error)) * 1e3}
-        inner: Any = self.env.unwrapped
         if self._contact:
             same = all(map(np.array_equal, nominal, true))
-            inner.hung_on_tool.put(None if same else behind(inverse_pose(nominal), true))
+            self._inner.hung_on_tool.put(None if same else behind(inverse_pose(nominal), true))
             return info
         achieved, desired = (np.asarray(observation[key], dtype=float) for key in ("achieved_goal", "desired_goal"))
         if achieved.shape != (3,) or np.linalg.norm(achieved - nominal.position) > FAR:
@@ -217,8 +213,8 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise InputError(f"{wrong}; name the site that the goal is of, or give contact=True where it is of no tool")
         self._achieved = achieved + error
         info["true_distance_mm"] = float(np.linalg.norm(self._achieved - desired)) * 1e3
-        if hasattr(inner, "_is_success"):
-            info["is_success"] = inner._is_success(self._achieved, desired)
+        if hasattr(self._inner, "_is_success"):
+            info["is_success"] = self._inner._is_success(self._achieved, desired)
         elif "is_success" in info:
-            raise InputError(f"{type(inner).__name__} does not say how it judges success (_is_success); add it")
+            raise InputError(f"{type(self._inner).__name__} does not say how it judges success (_is_success); add it")
         return info

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, SupportsFloat, cast
+from typing import Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -39,10 +39,6 @@ MOST_SEEN = 20.0
 """Bound of errors in observations, in units of `SEEN_MM`; larger errors are clipped."""
 
 SAME_ARM_REWARDS = ("measured", "true")
-"""Kinds of reward for a pick: from the gap that the camera measured, or from the true gap, which no real arm knows."""
-
-LONGEST_LOOK = 59
-"""Largest number of steps that the arm may stay at a fruit, since the environment's own time limit is 60."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +122,13 @@ class _Run:
     """The present runs of several arms. Arrays have one row per arm.
 
     The seed of an arm's row and the number of poses drawn with the seed determine the arm's next pose.
+
+    Attributes:
+        LONGEST_LOOK: Largest number of steps that the arm may stay at a fruit, since the environment's own time limit
+            is 60.
     """
+
+    LONGEST_LOOK = 59
 
     def __init__(
         self, task: Task, rows: int, *, picks: int, window: int, looks: int, reach_mm: float, reward: str
@@ -135,8 +137,8 @@ class _Run:
         for name, count in {"picks": picks, "window": window, "looks": looks}.items():
             check_count(name, count)
         check_number("reach_mm", reach_mm, positive=True)
-        if looks > LONGEST_LOOK:
-            raise InputError(f"looks is {looks}; give at most {LONGEST_LOOK}")
+        if looks > self.LONGEST_LOOK:
+            raise InputError(f"looks is {looks}; give at most {self.LONGEST_LOOK}")
         if not task.camera or task.end_on_success:
             raise InputError("SameArm needs a camera and whole episodes; give feedback='camera', end_on_success=False")
         memory = PickMemory(task.joints, window, reach_mm)
@@ -256,20 +258,18 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         native = hasattr(inner, "batch") and not env.metadata.get("torch")
         if not native or env.single_observation_space.shape != flat_space(inner.task).shape:
             raise InputError("SameArmVector works on native pickenv/Reach-v0 environments; make them with make_vec")
-        task: Task = inner.task
-        self.run = _Run(task, self.num_envs, **how)
-        most = inner.max_episode_steps
+        self.run, self._inner, most = _Run(inner.task, self.num_envs, **how), inner, inner.max_episode_steps
         if most is not None and looks >= most:
             raise InputError(f"looks is {looks}, but episodes end after {most} steps; give a larger max_episode_steps")
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
         set_spaces(self, self.run.memory.space(), spaces.Box(-1.0, 1.0, (3,), np.float32))
-        self._still = np.zeros((self.num_envs, task.joints))
+        self._still = np.zeros_like(self.run.joints)
         self._arms: NDArray[np.intp] = np.zeros(self.num_envs, dtype=np.intp)
 
     def reset(self, *, seed: Seeds = None, options: Options = None) -> tuple[Any, dict[str, Any]]:
         """Begin runs on newly drawn arms, or on the arms whose numbers (from 0) are in ``options["arm"]``."""
         options = given_options(options, ("arm",))
-        self.run.seed(checked_seeds(seed, self.num_envs), self.env.unwrapped.np_random)
+        self.run.seed(checked_seeds(seed, self.num_envs), self._inner.np_random)
         _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._begin()
         return self.run.shown(), self._infos(infos)
@@ -291,21 +291,20 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays that the next step depends on, for a checkpoint."""
-        run, inner = self.run, cast(Any, self.env.unwrapped)
+        run = self.run
         parts = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
         arrays = {f"run/{key}": np.array(value) for key, value in (parts | {"pick": run.pick}).items()}
-        return {**arrays, **inner.state_arrays()}
+        return {**arrays, **self._inner.state_arrays()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """Restore the arrays that `state_arrays` of environments with the same arguments returned."""
         run, parts = self.run, {key: value.copy() for key, value in part_of(state, "run/").items()}
         run.seeds, run.count, run.tokens, run.joints = (parts[key] for key in ("seeds", "count", "tokens", "joints"))
         run.pick, self._arms = int(parts["pick"]), parts["arms"]
-        cast(Any, self.env.unwrapped).take_state_arrays(state)
+        self._inner.take_state_arrays(state)
 
     def _begin(self) -> None:
-        inner: Any = self.env.unwrapped
-        self._arms = inner.batch.arm.copy()
+        self._arms = self._inner.batch.arm.copy()
         self.run.begin()
 
     def _infos(self, infos: dict[str, Any]) -> dict[str, Any]:
@@ -430,13 +429,14 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         Raises:
             InputError: If ``env`` is no flat `pickenv/Reach-v0` with a camera, or ends on success. If a count is below
-                1, ``looks`` is above `LONGEST_LOOK`, ``reach_mm`` is not above 0, or ``reward`` is unknown.
+                1, ``looks`` is above 59, ``reach_mm`` is not above 0, or ``reward`` is unknown.
         """
         how: dict[str, Any] = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
         RecordConstructorArgs.__init__(self, **how)
         gym.Wrapper.__init__(self, env)
-        task: Any = getattr(env.unwrapped, "task", None)
-        single = isinstance(task, Task) and hasattr(env.unwrapped, "arm")
+        self._inner: Any = env.unwrapped
+        task: Any = getattr(self._inner, "task", None)
+        single = isinstance(task, Task) and hasattr(self._inner, "arm")
         if not single or env.observation_space.shape != flat_space(task).shape:
             raise InputError("SameArm works on flat reach environments; wrap a pickenv/Reach-v0 environment")
         self.run = _Run(task, 1, **how)
@@ -448,9 +448,8 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Begin a run on a newly drawn arm, or on the arm with the number ``options["arm"]``, from 0."""
         options = given_options(options, ("arm",))
         _, info = self.env.reset(seed=seed, options=options)
-        inner: Any = self.env.unwrapped
-        self.run.seed([seed], inner.np_random)
-        self._arm = inner.arm
+        self.run.seed([seed], self._inner.np_random)
+        self._arm = self._inner.arm
         self.run.begin()
         return self.run.shown()[0], self._info(info)
 

@@ -52,6 +52,9 @@ class Sb3Vec(VecEnv):
     Args:
         envs: The environments.
 
+    Attributes:
+        seen: The latest observations.
+
     Raises:
         InputError: If the environment's autoreset mode is "NextStep": Stable-Baselines3 would learn from steps in which
             the environment ignores the action and only resets.
@@ -63,7 +66,6 @@ class Sb3Vec(VecEnv):
         if self.mode is AutoresetMode.NEXT_STEP:
             raise InputError("Stable-Baselines3 needs autoreset_mode 'SameStep' or 'Disabled', not 'NextStep'")
         self.seen: Any = None
-        """The latest observations."""
         self._actions: Any = None
         self._returns = np.zeros(envs.num_envs)
         self._lengths = np.zeros(envs.num_envs, dtype=np.int64)

@@ -25,36 +25,6 @@ from pickenv.envs.shared.spaces import Rescaling, vector_length
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 from pickenv.wrappers.gap import ScaledEnv, ScaledVector
 
-LARGEST = 0.03
-"""Length that an action of 1 adds to the tool's step in one period, m; with periods of 0.1 s this is 0.3 m/s."""
-
-NEAR = 0.05
-"""Gap below which steps shrink in proportion to the gap, m."""
-
-SERVO = 0.5
-"""Step towards the fruit if the action is zero, as a share of the step that an action of 1 adds."""
-
-ARRIVED = 2e-4
-"""Gap below which the arm does not move, m."""
-
-CLOSING = 0.015
-"""Gap above which the gripper does not close, m: about the largest gap at which it can take a fruit."""
-
-UPRIGHT = 0.1
-"""Length whose error has the same weight as a tilt of one radian, m."""
-
-DAMPING = 1e-4
-"""Damping of the Jacobian's inverse, as a share of the mean squared norm of the Jacobian's rows."""
-
-CENTRING = 0.1
-"""Share of each joint's distance from mid-range that a full step removes in the Jacobian's null space."""
-
-COLLECTING = 0.08
-"""Distance by which the tool must go down to collect a detached fruit, m."""
-
-MOVES = 2
-"""Number of values in a policy's action that move the tool; the gripper's value follows them."""
-
 
 @dataclass(frozen=True, eq=False)
 class ToolSteps(Rescaling):
@@ -63,7 +33,22 @@ class ToolSteps(Rescaling):
     Attributes:
         geometry: The nominal arm.
         increment: Largest increments of the arm's joints in one step (n,), rad or m.
+        LARGEST: Length that an action of 1 adds to the tool's step in one period, m; with periods of 0.1 s this is 0.3
+            m/s.
+        NEAR: Gap below which steps shrink in proportion to the gap, m.
+        SERVO: Step towards the fruit if the action is zero, as a share of the step that an action of 1 adds.
+        ARRIVED: Gap below which the arm does not move, m.
+        CLOSING: Gap above which the gripper does not close, m: about the largest gap at which it can take a fruit.
+        UPRIGHT: Length whose error has the same weight as a tilt of one radian, m.
+        DAMPING: Damping of the Jacobian's inverse, as a share of the mean squared norm of the Jacobian's rows.
+        CENTRING: Share of each joint's distance from mid-range that a full step removes in the Jacobian's null space.
+        COLLECTING: Distance by which the tool must go down to collect a detached fruit, m.
+        MOVES: Number of values in a policy's action that move the tool; the gripper's value follows them.
     """
+
+    LARGEST, NEAR, SERVO = 0.03, 0.05, 0.5
+    ARRIVED, CLOSING, COLLECTING = 2e-4, 0.015, 0.08
+    UPRIGHT, DAMPING, CENTRING, MOVES = 0.1, 1e-4, 0.1, 2
 
     geometry: Geometry
     increment: Array
@@ -112,8 +97,8 @@ class ToolSteps(Rescaling):
         gap, turn, others = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
         far, aside, up = vector_length(gap), vector_length(gap[..., :2]), gap[..., 2:]
         both = xp.concatenate((aside, up), -1)
-        decades = (xp.log10(xp.maximum(size, ARRIVED) / NEAR) / 2.0 for size in (far, aside))
-        shares = (both / xp.maximum(far, ARRIVED), both / (both * both + NEAR**2) ** 0.5, *decades)
+        decades = (xp.log10(xp.maximum(size, self.ARRIVED) / self.NEAR) / 2.0 for size in (far, aside))
+        shares = (both / xp.maximum(far, self.ARRIVED), both / (both * both + self.NEAR**2) ** 0.5, *decades)
         return xp.concatenate((values[..., :n], *shares, xp.clip(vector_length(turn) ** 2, 0.0, 1.0), others), -1)
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
@@ -137,9 +122,9 @@ class ToolSteps(Rescaling):
         """
         n = self.joints
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
-        away = ~holding & (vector_length(values[..., n + 6 : n + 9]) > CLOSING)
-        gripper = np.clip(CLOSE + actions[..., MOVES:], -1.0, 1.0)
-        steps = self.joint_steps(np.asarray(values, dtype=float), actions[..., :MOVES])
+        away = ~holding & (vector_length(values[..., n + 6 : n + 9]) > self.CLOSING)
+        gripper = np.clip(CLOSE + actions[..., self.MOVES :], -1.0, 1.0)
+        steps = self.joint_steps(np.asarray(values, dtype=float), actions[..., : self.MOVES])
         return np.concatenate([steps, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
 
     def joint_steps(self, values: Array, steps: Array) -> Array:
@@ -153,18 +138,20 @@ class ToolSteps(Rescaling):
         gap = values[..., n + 6 : n + 9]
         far, aside = vector_length(gap), vector_length(gap[..., :2])
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
-        share = np.where(holding, 1.0, np.where(far < ARRIVED, 0.0, np.minimum(far / NEAR, 1.0)))
-        aim = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR))
-        sideways = aim * (SERVO + steps[..., :1])
-        upwards = share * (np.where(holding, 0.0, SERVO * gap[..., 2:] / np.maximum(far, ARRIVED)) + steps[..., 1:])
+        share = np.where(holding, 1.0, np.where(far < self.ARRIVED, 0.0, np.minimum(far / self.NEAR, 1.0)))
+        aim = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, self.NEAR))
+        sideways = aim * (self.SERVO + steps[..., :1])
+        climb = self.SERVO * gap[..., 2:] / np.maximum(far, self.ARRIVED)
+        upwards = share * (np.where(holding, 0.0, climb) + steps[..., 1:])
         tilt = np.clip(values[..., n + 9 : n + 11], -0.2, 0.2)
-        task_step = np.concatenate([LARGEST * sideways, LARGEST * upwards, UPRIGHT * tilt * (share > 0)], -1)
+        moves = self.LARGEST * np.concatenate([sideways, upwards], -1)
+        task_step = np.concatenate([moves, self.UPRIGHT * tilt * (share > 0)], -1)
         jacobian = joint_jacobian(self.geometry, q)[..., :5, :] * self.increment
-        jacobian = jacobian * np.array([1.0, 1.0, 1.0, UPRIGHT, UPRIGHT])[:, None]
-        centring = CENTRING * share * ((low + high) / 2.0 - q) / self.increment
+        jacobian = jacobian * np.array([1.0, 1.0, 1.0, self.UPRIGHT, self.UPRIGHT])[:, None]
+        centring = self.CENTRING * share * ((low + high) / 2.0 - q) / self.increment
         remainder = task_step - np.einsum("...ij,...j->...i", jacobian, centring)
         square = np.einsum("...ij,...kj->...ik", jacobian, jacobian)
-        damping = DAMPING * np.einsum("...ii->...", square)[..., None, None] / 5.0
+        damping = self.DAMPING * np.einsum("...ii->...", square)[..., None, None] / 5.0
         solved = np.linalg.solve(square + damping * np.eye(5), remainder[..., None])[..., 0]
         joint_step = centring + np.einsum("...ij,...i->...j", jacobian, solved)
         return np.asarray(joint_step / np.maximum(1.0, np.abs(joint_step).max(axis=-1, keepdims=True)))
@@ -179,7 +166,7 @@ class ToolSteps(Rescaling):
         n = self.joints
         gap = np.asarray(values[..., n + 6 : n + 9], dtype=float)
         seeking = 0.35 * np.clip(1.0 - np.log10(1.0 + 1e3 * vector_length(gap)[..., 0]) / 3.0, 0.0, 1.0)
-        down = np.clip(gap[..., 2] / COLLECTING, 0.0, 1.0)
+        down = np.clip(gap[..., 2] / self.COLLECTING, 0.0, 1.0)
         hanging, off = values[..., n + 14] > 0.5, values[..., n + 15] > 0.5
         return np.where(off, 0.6 + 0.2 * down, np.where(hanging, 0.5, seeking))
 

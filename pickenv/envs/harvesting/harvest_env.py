@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, tree_map
 from pickenv.base import InputError
 from pickenv.envs.harvesting import harvest_task as batch
-from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information, Options
+from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information, Options, begun
 from pickenv.envs.shared.backends import Flags, Rows
 from pickenv.envs.shared.native_vector import NativeVectorEnv, set_spaces
 from pickenv.envs.shared.situation import CONTROL_PERIOD
@@ -22,7 +22,6 @@ from pickenv.pictures import shapes
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Rods, Stage, Words, rgba, spheres
 
 LONGEST = 600
-"""Default number of periods in an episode, which take a minute."""
 
 
 class HarvestEnv(DrawnEnv):
@@ -82,7 +81,7 @@ class HarvestEnv(DrawnEnv):
     ## Episode End
 
     - Termination: no fruit in reach hangs any more, and no blade is closing.
-    - Truncation: after 600 periods (`max_episode_steps`).
+    - Truncation: after 600 periods, which take a minute (`max_episode_steps`).
 
     ## Information
 
@@ -153,11 +152,10 @@ class HarvestEnv(DrawnEnv):
             InputError: If the action is not finite or has another shape, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.machine.joints,), self.task.most_action)
-        if self.state is None:
-            raise InputError("step was called before reset; call reset first")
-        (reward,) = batch.step(self.task, self.state, values[None], [self.np_random], self.compensator)
-        observation, information = self._shown(self.state)
-        return observation, float(reward), bool(batch.finished(self.state)[0]), False, information
+        state = begun(self.state, "step")
+        (reward,) = batch.step(self.task, state, values[None], [self.np_random], self.compensator)
+        observation, information = self._shown(state)
+        return observation, float(reward), bool(batch.finished(state)[0]), False, information
 
     def _stage(self) -> Stage | None:
         return None if self.state is None else draw_harvest(self.task, self.state, self.compensator, dark=self.dark)
@@ -339,7 +337,7 @@ def zone_fruit(state: batch.HarvestState) -> shapes.Solids:
     hanging = state.status[0] != batch.COLLECTED
     colours = shapes.fruit_colours(state.fruit.shape[1])
     colours[~state.reachable[0]] = shapes.GREEN
-    colours[(state.status[0] != batch.HANGING) & (state.status[0] != batch.COLLECTED)] = shapes.MISSED_FRUIT
+    colours[state.status[0] == batch.LOST] = shapes.MISSED_FRUIT
     places = state.fruit[0] + state.moved[0]
     return shapes.fruit_solids(places[hanging], state.diameters[0][hanging], colours[hanging])
 

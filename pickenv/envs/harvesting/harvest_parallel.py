@@ -14,10 +14,9 @@ import numpy as np
 import pettingzoo  # type: ignore[import-untyped,import-not-found,unused-ignore]
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.base import InputError
 from pickenv.envs.harvesting.harvest_env import LONGEST, HarvestEnv
 from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces
-from pickenv.envs.shared.arm_env import Information, Options, checked_render_mode
+from pickenv.envs.shared.arm_env import Information, Options, begun, checked_render_mode
 from pickenv.envs.shared.task import Compensate, check_choice, check_count, checked_action
 
 Observations = dict[str, NDArray[np.float32]]
@@ -79,8 +78,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
             InputError: If an action is not three finite numbers, an action is for an unknown agent, or `reset` was not
                 called before.
         """
-        if self._shared is None:
-            raise InputError("step was called before reset; call reset first")
+        state = begun(self._env.state, "step")
         if not self.agents:
             return {}, {}, {}, {}, {}
         for name in actions:
@@ -89,8 +87,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         parts = [checked_action(actions.get(name, still), (3,), self.task.most_action) for name in self.possible_agents]
         self._env.compensator = self.compensator
         self._shared, reward, over, _, info = self._env.step(np.concatenate(parts))
-        assert self._env.state is not None
-        late, names = bool(self._env.state.periods[0] >= self.max_cycles), self.agents
+        late, names = bool(state.periods[0] >= self.max_cycles), self.agents
         if over or late:
             self.agents = []
         ends = (dict.fromkeys(names, over), dict.fromkeys(names, late))
@@ -102,9 +99,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         Raises:
             InputError: If `reset` was not called before.
         """
-        if self._shared is None:
-            raise InputError("state was called before reset; call reset first")
-        return self._shared.copy()
+        return begun(self._shared, "state").copy()
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture of the whole machine ``(height, width, 3)`` as in `pickenv/Harvest-v0`.

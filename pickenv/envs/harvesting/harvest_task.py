@@ -35,7 +35,6 @@ from pickenv.orchard import Eyes, Sight, face, fruit_masses, load_eyes, sample_d
 
 OPTIONS = ("fruit", "start_joints")
 DRAWS = 100
-"""Largest number of draws of a zone until the cameras locate some of its fruit."""
 
 
 def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows: Any = slice(None)) -> dict[str, Array]:
@@ -134,7 +133,6 @@ class Rules:
 
 
 load_rules = cache(partial(read_toml, Rules, PICKING_FILE, section="task"))
-"""Read the rules of the task from their file; the result is cached."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +232,6 @@ def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], 
 HANGING, COLLECTED, LOST = 0, 1, 2
 
 HALF_AND_WHOLE = np.array([0.5, 1.0]).reshape(2, 1, 1, 1)
-"""Shares of a move at which the distances between arms are checked: half way, and at its end."""
 
 
 @dataclass(eq=False)
@@ -312,29 +309,25 @@ def begin_zones(
             ``joints``.
     """
     machine, n = task.machine, len(rngs)
-    positions, sightings, zeros = np.zeros((3, n, task.fruit, 3))
-    located, reachable = np.zeros((2, n, task.fruit), dtype=bool)
-    diameters, start = np.empty((n, task.fruit)), np.empty((n, machine.joints))
-    for i, rng in enumerate(rngs):
-        zone = drawn_zone(task, rng, None if fruit is None else fruit[i])
-        positions[i], diameters[i], sight, master, reachable[i] = zone
-        sightings[i], located[i] = sight.believed, sight.located
-        rest = np.concatenate([master, *[machine.slave_home] * machine.arms])
-        start[i] = rest if joints is None else joints[i]
+    zones = [drawn_zone(task, rng, None if fruit is None else fruit[i]) for i, rng in enumerate(rngs)]
+    places, diameters, sights, masters, reachable = zip(*zones, strict=True)
+    positions, sightings = np.array(places), np.array([sight.believed for sight in sights])
+    at_rest = np.concatenate([masters, np.tile(machine.slave_home, (n, machine.arms))], axis=1)
+    start = at_rest if joints is None else np.array(joints)
     if joints is not None and (distances(task, start) < machine.body.clearance).any():
         raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")
     state = HarvestState(
         joints=start,
         fruit=positions,
-        shift=zeros,
-        swing=zeros.copy(),
-        velocity=zeros.copy(),
-        diameters=diameters,
-        masses=fruit_masses(task.orchard.fruit_size, diameters),
+        shift=np.zeros_like(positions),
+        swing=np.zeros_like(positions),
+        velocity=np.zeros_like(positions),
+        diameters=np.array(diameters),
+        masses=fruit_masses(task.orchard.fruit_size, np.array(diameters)),
         believed=sightings,
         error=sightings - positions,
-        located=located,
-        reachable=reachable,
+        located=np.array([sight.located for sight in sights]),
+        reachable=np.array(reachable),
         status=np.zeros((n, task.fruit), dtype=np.int64),
         busy=np.zeros((n, machine.arms), dtype=np.int64),
         tried=np.full((n, machine.arms), -1),
@@ -560,9 +553,7 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
     right = away[..., 0] * sin - away[..., 1] * cos
     ahead = away[..., 0] * cos + away[..., 1] * sin
     visible = pickable(state)
-    fruit = np.empty((*visible.shape, 4))
-    fruit[..., 0], fruit[..., 1], fruit[..., 2] = right * visible, ahead * visible, away[..., 2] * visible
-    fruit[..., 3] = visible
+    fruit = np.stack([right * visible, ahead * visible, away[..., 2] * visible, visible], axis=-1)
     parts = [scaled, state.busy / task.lead, fruit.reshape(len(scaled), -1)]
     low, high = task.bounds
     return np.asarray(np.minimum(np.maximum(np.concatenate(parts, axis=1), low), high), dtype=np.float32)
@@ -572,7 +563,6 @@ def information(state: HarvestState) -> dict[str, NDArray[np.generic]]:
     """Return the infos of all machines: arrays (machines,) by key, always with the same keys."""
     collected = (state.status == COLLECTED).sum(axis=1)
     done = (state.status == COLLECTED) | ~state.reachable
-    hours = np.maximum(state.periods, 1) * CONTROL_PERIOD / 3600
     return {
         "collected": collected,
         "lost": (state.status == LOST).sum(axis=1),
@@ -581,6 +571,6 @@ def information(state: HarvestState) -> dict[str, NDArray[np.generic]]:
         "attempts": state.attempts.copy(),
         "held": state.held.copy(),
         "closest_mm": state.closest * 1e3,
-        "picks_per_hour": collected / hours,
+        "picks_per_hour": collected / (np.maximum(state.periods, 1) * CONTROL_PERIOD / 3600),
         "is_success": done.all(axis=1),
     }

@@ -20,28 +20,13 @@ from pickenv.envs.shared.arm_env import GHOST_WORDS, standing, tool_dial
 from pickenv.envs.shared.backends import NUMPY, Flags, Rows
 from pickenv.envs.shared.simulation import length
 from pickenv.envs.shared.task import Task
-from pickenv.pictures.shapes import (
-    GREEN,
-    MISSED_FRUIT,
-    Solids,
-    arm_at_work,
-    crate,
-    cup_solids,
-    fruit_colours,
-    fruit_solids,
-    frustum_solids,
-    hand_solids,
-    joined_solids,
-    row_of_trees,
-)
+from pickenv.pictures import shapes
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 
 ABSENT = np.zeros((), pick_scene.FRUIT)
-"""Record of an absent fruit, far away. It fills up the array for canopies with less fruit than the fullest one."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
 FUNNEL = ("visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
-"""Stages whose fruit is counted for each canopy; "collected" counts only undamaged fruit."""
 REACHABLE, ATTEMPTED, COLLECTED = (FUNNEL.index(stage) for stage in ("reachable", "attempted", "collected"))
 
 OWN = ("sight", "number", "still", "moments")
@@ -54,14 +39,16 @@ class Canopies:
 
     Attributes:
         scenes: The scene of each canopy, which works on its part of `fruit`.
-        fruit: All fruit, (N, M).
+        fruit: All fruit, (N, M). Records of absent fruit, far away, fill it up for canopies with less fruit than the
+            fullest one.
         omega: Natural frequencies of the fruit along x, y, z, rad/s, (N, M, 3).
         present: Number of fruit in each canopy.
         held: Index of the fruit in each gripper, or -1.
         off: Whether the fruit in each gripper is detached from its stem.
         felt: Position of the fruit in each gripper as the gripper measures it, fruit minus tool, m, (N, 3).
         miss: Distance of the fruit from the tool at each arm's last grasp, across and along the tool's axis, m, (N, 2).
-        counts: Number of fruit of each canopy that reached each stage of `FUNNEL`, (7, N).
+        counts: Number of fruit of each canopy that reached each stage of `FUNNEL`, (7, N); "collected" counts only
+            undamaged fruit.
         sight: The tools' true and believed frames and the joint readings, in the layout of
             `pickenv.envs.picking.pick_arm.BELIEVED` to `SIGHT`, then the joint commands, (numbers, N).
         number: Index of the fruit that each arm is to pick next.
@@ -128,7 +115,7 @@ class Canopies:
             before: True tool positions at the beginning of the period, m, (N, 3).
             period: Time that passes, s, (N,).
         """
-        fruit, station = self.fruit, self.orchard.station
+        fruit = self.fruit
         swinging = fruit["displacement"].any(axis=(1, 2)) | fruit["velocity"].any(axis=(1, 2))
         rows = np.flatnonzero(going & swinging)
         if rows.size:
@@ -141,7 +128,8 @@ class Canopies:
         moved = point - before
         for row in np.flatnonzero(going & (self.held >= 0) & ~self.off).tolist():
             self.scenes[row].carry(point[row], moved[row])
-        contacts = pick_scene.contact(station, fruit["rest"] + fruit["displacement"], fruit["diameters"], point, axis)
+        places = fruit["rest"] + fruit["displacement"]
+        contacts = pick_scene.contact(self.orchard.station, places, fruit["diameters"], point, axis)
         for row in np.flatnonzero(going & contacts[-1].any(axis=1)).tolist():
             across, gap, overlap, touched = (part[row, : self.present[row]] for part in contacts)
             self.scenes[row].meet((across, gap, overlap, touched), int(self.number[row]), moved[row], period[row])
@@ -166,8 +154,7 @@ class Canopies:
         self.meet(going, before, period)
         for row in np.flatnonzero(going & ((self.held >= 0) | (gripper > pick_scene.CLOSE))).tolist():
             scene, number = self.scenes[row], int(self.number[row])
-            pose, tool = (self.sight[part, row].tolist() for part in (BELIEVED, TOOL))
-            scene.work_gripper(float(gripper[row]), number, pose, tool)
+            scene.work_gripper(float(gripper[row]), number, *(self.sight[k, row].tolist() for k in (BELIEVED, TOOL)))
             self._note(row)
             if scene.held is None and not scene.waiting[number]:
                 self.choose(row)
@@ -267,12 +254,15 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
     collected, reachable = int(canopies.counts[COLLECTED, row]), int(scene.reachable.sum())
     offset = point - scene.positions[number]
     opening = orchard.station.tool_radius
-    cup = orchard.gripper.kind == "cup"  # else a hand around a usual fruit
-    solids = joined_solids(
-        arm_at_work(nominal, command, point, axis, sight[BELIEVED][9:]),
-        cup_solids(point, axis, opening) if cup else hand_solids(point, axis, opening, scene.held is not None),
+    if orchard.gripper.kind == "cup":
+        gripper = shapes.cup_solids(point, axis, opening)
+    else:  # a hand around a usual fruit
+        gripper = shapes.hand_solids(point, axis, opening, scene.held is not None)
+    solids = shapes.joined_solids(
+        shapes.arm_at_work(nominal, command, point, axis, sight[BELIEVED][9:]),
+        gripper,
         canopy_fruit(scene),
-        crate(pick_eye(orchard), SIZE, collected, float(np.mean(scene.diameters)), ground_of(orchard)),
+        shapes.crate(pick_eye(orchard), SIZE, collected, float(np.mean(scene.diameters)), ground_of(orchard)),
         camera_solids(orchard),
     )
     words = (
@@ -286,7 +276,7 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
     return Stage(pick_eye(orchard), *solids, still=still, words=words, dial=dial, dark=dark)
 
 
-def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
+def canopy_fruit(scene: pick_scene.PickScene) -> shapes.Solids:
     """Return the solids of the fruit that hangs or is in the gripper.
 
     Reachable fruit has the colour of ripe fruit, and fruit out of reach is green. Fruit that the gripper closed on but
@@ -295,21 +285,22 @@ def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
     present = ~scene.collected & ~(scene.damaged & scene.detached)
     if scene.held is not None:
         present[scene.held] = True
-    colours = fruit_colours(len(scene.rest))
-    colours[~scene.reachable] = GREEN
-    colours[scene.attempted & ~scene.attached] = MISSED_FRUIT
+    colours = shapes.fruit_colours(len(scene.rest))
+    colours[~scene.reachable] = shapes.GREEN
+    colours[scene.attempted & ~scene.attached] = shapes.MISSED_FRUIT
     places, sizes = scene.positions[present], scene.diameters[present]
-    return fruit_solids(places, sizes, colours[present], ~scene.detached[present])
+    return shapes.fruit_solids(places, sizes, colours[present], ~scene.detached[present])
 
 
-def camera_solids(orchard: pick_scene.PickSetting) -> Solids:
+def camera_solids(orchard: pick_scene.PickSetting) -> shapes.Solids:
     """Return the solids of the camera that looks at the canopy, and of its field of view."""
     canopy, camera = orchard.canopy, orchard.camera
     middle = (canopy.bottom + canopy.top) / 2
     eye = pick_scene.to_base(orchard, np.array([0.0, -canopy.standoff, middle]))
     ahead = pick_scene.to_base(orchard, np.array([0.0, 0.0, middle])) - eye
     half_angles = [side / 2 / camera.focal_length for side in camera.image]
-    return frustum_solids(eye, ahead / np.linalg.norm(ahead), half_angles, 0.3 * float(np.linalg.norm(ahead)), CAMERA)
+    far = float(np.linalg.norm(ahead))
+    return shapes.frustum_solids(eye, ahead / far, half_angles, 0.3 * far, CAMERA)
 
 
 def trees_of(orchard: pick_scene.PickSetting) -> tuple[Mesh, ...]:
@@ -317,8 +308,8 @@ def trees_of(orchard: pick_scene.PickSetting) -> tuple[Mesh, ...]:
     canopy = orchard.canopy
     ends = np.array([[-canopy.width / 2, 0.0, canopy.bottom], [canopy.width / 2, canopy.depth, canopy.top]])
     corners = pick_scene.to_base(orchard, ends)
-    low, high = (tuple(float(value) for value in end) for end in (corners.min(axis=0), corners.max(axis=0)))
-    return row_of_trees(low, high, canopy.leaf_area_per_volume, ground_of(orchard))
+    low, high = tuple(corners.min(axis=0).tolist()), tuple(corners.max(axis=0).tolist())
+    return shapes.row_of_trees(low, high, canopy.leaf_area_per_volume, ground_of(orchard))
 
 
 def ground_of(orchard: pick_scene.PickSetting) -> float:
@@ -332,6 +323,5 @@ def pick_eye(orchard: pick_scene.PickSetting) -> Eye:
     It is 1.35 m in x, 2.15 m in y and 0.75 m in z from the point looked at.
     """
     canopy = orchard.canopy
-    face = pick_scene.to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
-    target = face * [0.62, 0.62, 0.62]
+    target = 0.62 * pick_scene.to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
     return Eye(target + np.array([1.35, 2.15, 0.75]), target)

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Scalar
-from pickenv.base import InputError
 from pickenv.envs.picking.canopies import Canopies, draw_pick
 from pickenv.envs.picking.pick_arm import TOOL, act_arm, look_at_arm, reach_of
 from pickenv.envs.picking.pick_scene import PICK_OPTIONS, PickScene, draw_starts, given_hours, make_pick, pick_spaces
-from pickenv.envs.shared.arm_env import ArmEnv, Information, Options
+from pickenv.envs.shared.arm_env import ArmEnv, Information, Options, begun
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.simulation import ArmState, begin
 from pickenv.envs.shared.spaces import given_options
@@ -218,8 +217,7 @@ class PickEnv(ArmEnv):
             self._use_arm(number)
         target = self._start(joints)
         hours = None if options.get("hours") is None else float(given_hours(options["hours"]))
-        command = self._command(target)
-        self._state = begin(self._x, task, self.plant, self._key, target, (), command, hours)
+        self._state = begin(self._x, task, self.plant, self._key, target, (), self._command(target), hours)
         self.canopies = Canopies(task, self.orchard, 1)
         self._look(self.canopies, self._state, 0.0)
         self.canopies.adopt(0, self.scene)
@@ -232,11 +230,10 @@ class PickEnv(ArmEnv):
         Raises:
             InputError: If the action has another shape or invalid numbers, or if `reset` was not called before.
         """
-        values, canopies = checked_action(action, (self.task.actions,), self.task.most_action), self.canopies
-        if canopies is None or self._state is None:
-            raise InputError("step was called before reset; call reset first")
+        values = checked_action(action, (self.task.actions,), self.task.most_action)
+        canopies, state = begun(self.canopies, "step"), begun(self._state, "step")
         numbers, before = self._numbers(values.tolist()), canopies.sight[TOOL][9:].T.copy()
-        state, gripper, stirred, period = act_arm(self._x, self.task, self._state, numbers)
+        state, gripper, stirred, period = act_arm(self._x, self.task, state, numbers)
         canopies.moments += np.uint64(1)
         self._look(canopies, state, period)
         moved = (np.ravel(part) for part in (gripper, stirred, period))

@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import lru_cache, reduce
+from operator import or_
 from types import ModuleType
 
 import numpy as np
@@ -23,16 +24,19 @@ from pickenv.envs.shared.task import Task, inexact
 # Which points an arm reaches from below with its tool upright: where fruit can be picked. Base frame, m.
 
 
-ITERATIONS = 8
-"""Number of steps of the inverse kinematics that decides whether a point is in reach. With 15 steps, the decisions on
-4000 points are the same."""
-
 UP = np.array([0.0, 0.0, 1.0])
 """Direction in which the tool approaches a fruit, and in which it points there, base frame."""
 
 
 class Reach:
-    """Test whether the nominal arm, tool upright, reaches both a point and the point ``approach`` m below it."""
+    """Test whether the nominal arm, tool upright, reaches both a point and the point ``approach`` m below it.
+
+    Attributes:
+        ITERATIONS: Number of steps of the inverse kinematics that decides whether a point is in reach. With 15 steps,
+            the decisions on 4000 points are the same.
+    """
+
+    ITERATIONS = 8
 
     def __init__(self, geometry: Geometry, approach: float) -> None:
         """Sample the arm's upright poses once; each test then starts from the sampled pose nearest to its point."""
@@ -57,7 +61,7 @@ class Reach:
             self.joints[nearest],
             position_tolerance=5e-4,
             attitude_tolerance=0.02,
-            max_iterations=ITERATIONS,
+            max_iterations=self.ITERATIONS,
             restarts=0,
         )
         at, below = solution.reached.reshape(2, -1)
@@ -82,9 +86,6 @@ STIRRED = 1e-9
 
 
 BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
-"""Indices of the numbers that `look_at_arm` returns about an arm. `BELIEVED` is the frame of the believed tool, and
-`TOOL` the tool's true frame. `TURN` is the rotation vector from the believed attitude to upright, rad. `TILT` is the
-angle between the true tool's axis and the vertical, deg. The joint readings, scaled to the limits, begin at `SIGHT`."""
 
 
 def act_arm(x: Executor, task: Task, state: ArmState, action: Scalars) -> tuple[ArmState, Scalar, Scalar, Scalar]:
@@ -99,10 +100,7 @@ def act_arm(x: Executor, task: Task, state: ArmState, action: Scalars) -> tuple[
     setting, values = task.situation, state.drawn
     (*moves, gripper), sent = situation.late(x, setting, "delay", values, state.sent, action)
     target = simulation.move(x, task, state.target, situation.in_period(x, setting, values, moves))
-    away = [abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)]
-    stirred = away[0]
-    for joint in away[1:]:
-        stirred = stirred | joint
+    stirred = reduce(or_, (abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)))
     return state._replace(target=target, sent=sent), gripper, stirred, setting.value("period", values)
 
 
@@ -114,7 +112,10 @@ def look_at_arm(
     `pickenv.envs.shared.simulation.look` explains the arguments.
 
     Returns:
-        The state afterwards, and the numbers measured, in the layout of `BELIEVED` to `SIGHT`.
+        The state afterwards, and the numbers measured. At `BELIEVED` is the frame of the believed tool, and at `TOOL`
+        the tool's true frame. At `TURN` is the rotation vector from the believed attitude to upright, rad. At `TILT` is
+        the angle between the true tool's axis and the vertical, deg. The joint readings, scaled to the limits, begin at
+        `SIGHT`.
     """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = simulation.nominal_readings(x, plant, plant_state, state.target, command)

@@ -30,11 +30,8 @@ from pickenv.orchard import DRAWS
 
 FATES = ("attempted", "attached", "detached", "collected", "damaged")
 CLOSE, OPEN = 0.5, -0.5
-"""Thresholds of the gripper's command: above `CLOSE` it closes, below `OPEN` it opens."""
 
 ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
-"""Largest numbers of draws until a fruit is in reach. `ATTEMPTS` is for positions that are drawn, `GIVEN_ATTEMPTS` for
-positions that the user gives, which stay the same in each draw."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +74,6 @@ ORDERS: dict[str, tuple[float, float, float] | None] = {
     "highest": (0.0, 0.0, -1.0),
     "foremost": (0.0, -1.0, 0.0),
 }
-"""Orders in which fruit is picked. None means that the fruit nearest to the believed tool is next. A vector (base
-frame) means that the fruit with the smallest coordinate along it is next."""
 
 PUBLISHED = "published"
 """Value of the argument `vision` for a camera's published errors; `pickenv.orchard.VISIONS` has all other values."""
@@ -100,9 +95,6 @@ def _origin(orchard: PickSetting) -> Array:
 
 
 Contact = tuple[Array, Array, Array, Flags]
-"""Contacts of fruit with a tool, in four arrays. The first is the vector from the tool's axis to each fruit, m,
-(..., n, 3). The next three, (..., n) each, are the length of that vector, m, how far the tool is inside the fruit, m,
-and whether the tool touches the fruit."""
 
 
 def contact(station: trees.Station, positions: Array, diameters: Array, point: Array, axis: Array) -> Contact:
@@ -116,6 +108,11 @@ def contact(station: trees.Station, positions: Array, diameters: Array, point: A
         diameters: Diameters of the fruit, m, shape (..., n).
         point: Position of the tool's upper end, m, shape (..., 3).
         axis: Unit vector in which the tool points, shape (..., 3).
+
+    Returns:
+        Four arrays. The first is the vector from the tool's axis to each fruit, m, (..., n, 3). The next three,
+        (..., n) each, are the length of that vector, m, how far the tool is inside the fruit, m, and whether the tool
+        touches the fruit.
     """
     away = positions - point[..., None, :]
     along = _dot(away, axis[..., None, :])
@@ -141,8 +138,7 @@ FRUIT = np.dtype(
 )
 """Type of one fruit's record, with all its numbers and flags; `PickScene` explains them."""
 
-Fruit = NDArray[np.void]
-"""Array of fruit, each a record of type `FRUIT`."""
+Fruit = NDArray[np.void]  # of type `FRUIT`
 
 
 class PickScene:
@@ -150,7 +146,8 @@ class PickScene:
 
     Attributes:
         orchard: The orchard, the camera and the gripper.
-        fruit: Records of all fruit (n,); the attributes from `rest` to `damaged` are fields of it.
+        fruit: Records of all fruit (n,), which the scene changes in place: an array of its own, or a part of an array
+            of many canopies. The attributes from `rest` to `damaged` are fields of it.
         rest: Where each fruit hangs at rest, m, shape (n, 3).
         seen: Where the camera saw the fruit, m, shape (n, 3).
         noise: Error of the gripper when it measures the fruit's position, m, shape (n, 3).
@@ -180,8 +177,6 @@ class PickScene:
         self.held: int | None = None
         self.miss, self.grip, self.detached_at = (0.0, 0.0), np.zeros(3), 0.0
         self.fruit = fruit
-        """Array of all fruit: the scene's own array, or a part of an array of many canopies. The scene changes it in
-        place."""
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         """Return the field ``name`` of `fruit`."""
@@ -212,7 +207,8 @@ class PickScene:
     def following(self, tool: ArrayLike) -> int | None:
         """Return the index (from 0) of the fruit to pick next, or None if no fruit can still be tried.
 
-        ``tool`` is the position of the believed tool (3,), m.
+        ``tool`` is the position of the believed tool (3,), m. If the order in `ORDERS` is None, the fruit nearest to
+        the believed tool is next. If it is a vector (base frame), the fruit with the smallest coordinate along it is.
         """
         waiting = np.flatnonzero(self.waiting)
         if not waiting.size:
@@ -232,7 +228,7 @@ class PickScene:
         """Push the fruit that the tool touches, except fruit off its stem and the fruit in the gripper.
 
         Args:
-            found: Contacts of all fruit with the tool.
+            found: Contacts of all fruit with the tool, from `contact`.
             target: Index (from 0) of the fruit to pick, which is not pushed if it is above the tool's opening.
             moved: Motion of the tool in the period (3,), m.
             dt: Length of the period, s.
@@ -251,7 +247,7 @@ class PickScene:
         """Operate the gripper: close it on fruit ``number``, twist, open it, or collect a fruit.
 
         Args:
-            share: The command, -1 to 1.
+            share: The command, -1 to 1: above `CLOSE` the gripper closes, below `OPEN` it opens.
             number: Index of the fruit to pick, from 0.
             believed: Frame of the believed tool, by which the controller decides what the gripper does.
             tool: The tool's true frame, which decides the outcome.
@@ -264,7 +260,8 @@ class PickScene:
             self.let_go()
         elif self.holds_detached:
             if believed[11] <= self.detached_at - self.orchard.station.collected_below:
-                self.collect()
+                self.collected[self.held] = True
+                self.held = None
         else:
             self.twist(share)
             self.detached_at = believed[11]
@@ -306,12 +303,6 @@ class PickScene:
             self.damaged[self.held] |= self.detached[self.held]
             self.held = None
 
-    def collect(self) -> None:
-        """Collect the detached fruit, which empties the gripper."""
-        assert self.held is not None
-        self.collected[self.held] = True
-        self.held = None
-
     def _push(self, contact: Array, push: Array) -> None:
         """Displace the fruit around the point ``contact`` by ``push``, (3,) each, m.
 
@@ -335,7 +326,7 @@ def draw_scenes(
 
     Raises:
         InputError: If no draw of an episode has a fruit that is both seen and in reach. There are `ATTEMPTS` draws, or
-            `GIVEN_ATTEMPTS` if positions are given.
+            `GIVEN_ATTEMPTS` if positions are given, which stay the same in each draw.
     """
     centres = [None if positions is None else _given_fruit(positions) for positions in given]
     scenes: dict[int, PickScene] = {}
@@ -430,15 +421,10 @@ STILL = 1.0
 MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
-PICK_FEEDBACK = ("encoders", "gripper")
-"""Values of `feedback`. With "gripper" the policy observes the position of each held fruit in the gripper."""
-
 MOST_FELT = 0.1
-"""Bound of the observed position of a fruit in the gripper. The gripper takes no fruit that is so far off."""
 
 
 OF_THE_ARM = ("without", "arms", "tolerances", "population", "population_seed", "out_of_range")
-"""Arguments of `pickenv.envs.make_task` that `pickenv/Pick-v0` takes too."""
 
 
 def make_pick(
@@ -459,6 +445,8 @@ def make_pick(
 ) -> tuple[Task, PickSetting]:
     """Check the arguments of a picking environment, which `pickenv/Pick-v0` explains.
 
+    Of the arguments of `pickenv.envs.make_task` it takes those in `OF_THE_ARM` too.
+
     Returns:
         The arm's task, and the setting of fruit, camera and gripper.
 
@@ -467,7 +455,7 @@ def make_pick(
     """
     check_number("fruit", fruit, positive=True)
     check_count("looks", looks)
-    check_choice("feedback", feedback, PICK_FEEDBACK)
+    check_choice("feedback", feedback, ("encoders", "gripper"))
     check_number("grip_noise_mm", grip_noise_mm)
     if idle := [name for name in signature(make_task).parameters if name in arguments and name not in OF_THE_ARM]:
         raise InputError(f"`{idle[0]}` has no effect on picking; leave it out")
@@ -506,7 +494,10 @@ def make_pick(
 
 
 def pick_spaces(task: Task, orchard: PickSetting) -> tuple[spaces.Box, spaces.Box]:
-    """Return the observation space and the action space."""
+    """Return the observation space and the action space.
+
+    `MOST_FELT` bounds the observed position of a fruit in the gripper, which takes no fruit that is so far off.
+    """
     bounds = box([1.0] * task.joints + [task.reach] * 6 + [2 * task.reach] * 3 + [math.pi] * 3)
     felt = np.full(0 if orchard.felt is None else 3, MOST_FELT, np.float32)
     low = np.concatenate([bounds.low, np.zeros(5, np.float32), -felt])
@@ -523,7 +514,6 @@ def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
 
 
 PICK_OPTIONS = ("fruit", "start_joints", "arm", "hours")
-"""Names of the options of `reset`."""
 
 
 def given_hours(hours: Any, count: int | None = None) -> Array:
@@ -548,8 +538,6 @@ def given_hours(hours: Any, count: int | None = None) -> Array:
 
 
 PickStart = tuple[PickScene, int | None, int]
-"""What is drawn for an episode: the fruit, the index (from 0) of the true arm (None if there is only one), and the key
-of the random streams that the situation (delays and noise) uses."""
 
 
 def draw_starts(task: Task, orchard: PickSetting, reach: Reach, episodes: Sequence[tuple[Any, ...]]) -> list[PickStart]:
@@ -563,6 +551,10 @@ def draw_starts(task: Task, orchard: PickSetting, reach: Reach, episodes: Sequen
             the true arm in the environment's last episode, or None. The third is fruit positions (n, 3), base frame, m,
             or None to draw fruit. The fourth is the index of the true arm that the user wants, or None. With
             `arms="per_env"` the arm of the last episode stays if there was one.
+
+    Returns:
+        For each episode the fruit, the index (from 0) of the true arm (None if there is only one), and the key of the
+        random streams that the situation (delays and noise) uses.
 
     Raises:
         InputError: If no fruit is within reach, or the population has no arm with a given index.

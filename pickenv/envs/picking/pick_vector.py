@@ -80,9 +80,9 @@ class PickVectorEnv(NativeVectorEnv):
         self._bounds = observations.low, observations.high
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
+        # Starts of next episodes that are drawn already, by index of the environment (from 0). Each is a pair: the
+        # state of the environment's random generator before the draw, and the start.
         self._ahead: dict[int, tuple[Any, pick_scene.PickStart]] = {}
-        """Starts of next episodes that are drawn already, by index of the environment (from 0). Each is a pair: the
-        state of the environment's random generator before the draw, and the start."""
 
     @property
     def plant(self) -> Plant:
@@ -93,8 +93,8 @@ class PickVectorEnv(NativeVectorEnv):
         """Return all arrays that the next step depends on, for a checkpoint."""
         ahead, rngs = self._ahead, enumerate(self._rngs)
         states = [ahead[row][0] if row in ahead else rng.bit_generator.state for row, rng in rngs]
-        arrays: dict[str, NDArray[Any]] = {"elapsed": self._elapsed, "over": self._over, "armed": self._armed}
-        arrays["rngs"] = np.array([words_of_state(state) for state in states], dtype=np.uint64)
+        words = np.array([words_of_state(state) for state in states], dtype=np.uint64)
+        arrays = {"elapsed": self._elapsed, "over": self._over, "armed": self._armed, "rngs": words}
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
@@ -191,6 +191,7 @@ class PickBatch(NumpyArms):
         super().__init__(task, count)
         self.make_plants()
         self.make_room(0, 0)
+        self.remake()
         self.canopies = Canopies(task, orchard, count)
 
     def restart(

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Plant, Scalar, leaves
+from pickenv.arm import Array, Plant, Scalar, Scalars, leaves
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Words
-from pickenv.envs.shared.backends import GOAL, Rows, episode_key, stream_key
+from pickenv.envs.shared.backends import GOAL, Executor, Rows, episode_key, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensators, Task
 
 
@@ -137,6 +137,17 @@ class Batch(ArmBatch, ABC):
         n, goal = self.task.joints, simulation.GOAL_NUMBERS
         return (n + 3, goal, goal) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
 
+    def parts(self, scene: simulation.View) -> tuple[simulation.Components, ...]:
+        """Return the numbers of each part of the observation: observation and goals, or the flat observation alone."""
+        return simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
+
+    def reward(self, x: Executor, scene: simulation.View, *goals: Scalars) -> Scalar:
+        """Compute the reward from achieved and desired goal as they are returned, or without goals from the true error.
+
+        ``x`` is the executor on which ``scene`` was measured.
+        """
+        return simulation.goal_reward(x, self.task, *goals) if goals else simulation.true_reward(x, self.task, scene)
+
     def _draw_goals(self, keys: Scalar) -> Columns:
         """Draw joints (n components) of a wanted pose for each of the episodes with the keys ``keys``.
 
@@ -167,6 +178,7 @@ class NumpyBatch(NumpyArms, Batch):
         super().__init__(task, count, goal_dict, poses)
         self.make_plants()
         self.make_room(12, 3)
+        self.remake()
 
     def advance(self, actions: Array, moments: Words, compensate: Compensators | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
@@ -213,14 +225,10 @@ class NumpyBatch(NumpyArms, Batch):
         x, task = self.x, self.task
         command = self.commands(compensate, list(state.target), where)
         state, scene = simulation.look(x, task, plant, state, command, self.keys[where], moments, dt)
-        parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
-        for array, part in zip(out.observation, parts, strict=True):
+        for array, part in zip(out.observation, self.parts(scene), strict=True):
             self.write(list(array), place, part)
-        if self.goal_dict:  # of goals as they are returned
-            goals = (part[:, place].astype(np.float64) for part in out.observation[1:])
-            out.reward[place] = simulation.goal_reward(x, task, *goals)
-        else:
-            out.reward[place] = simulation.true_reward(x, task, scene)
+        goals = (part[:, place].astype(np.float64) for part in out.observation[1:])
+        out.reward[place] = self.reward(x, scene, *goals)
         out.success[place] = scene.success
         self.write(list(out.numbers), place, scene.numbers)
         if self.poses:

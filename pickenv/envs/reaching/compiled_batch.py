@@ -18,17 +18,13 @@ from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects
 from pickenv.envs.shared.compiled_look import TRACER, LatestCompiled, with_numbers
-from pickenv.envs.shared.task import Compensators, Task, commanded
+from pickenv.envs.shared.task import Compensators, commanded
 
 
 class CompiledBatch(NumpyBatch):
     """The state of N reach tasks, with compiled steps; arguments as in `pickenv.envs.reaching.batch.Batch`."""
 
     remade = ("_table", "_arms", "_code", "_fast")
-
-    def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
-        super().__init__(task, count, goal_dict, poses)
-        self.remake()
 
     def remake(self) -> None:
         """Copy the state into one array and the true arms' numbers into another, and discard all compiled code."""
@@ -95,17 +91,12 @@ class CompiledBatch(NumpyBatch):
         period = task.situation.value("period", state.drawn)
         plant = with_numbers(self.plant, trace.inputs("arms", len(self._arms)))
         state, scene = simulation.look(x, task, plant, state, command, key, moment, period)
-        parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
-        observation = [[trace.single(value) for value in part] for part in parts]
-        if self.goal_dict:  # of goals as they are returned
-            goals = ([trace.double(value) for value in part] for part in observation[1:])
-            reward = simulation.goal_reward(x, task, *goals)
-        else:
-            reward = simulation.true_reward(x, task, scene)
+        observation = [[trace.single(value) for value in part] for part in self.parts(scene)]
+        goals = ([trace.double(value) for value in part] for part in observation[1:])
         return [
             *self._remembered(trace, state),
             *(goal for i, part in enumerate(observation) for goal in trace.outputs(f"observation{i}", part, SINGLE)),
-            *trace.outputs("reward", [reward]),
+            *trace.outputs("reward", [self.reward(x, scene, *goals)]),
             *trace.outputs("success", [scene.success], FLAG),
             *trace.outputs("numbers", scene.numbers),
             *trace.outputs("vectors", scene.vectors if self.poses else ()),

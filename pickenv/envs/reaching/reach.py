@@ -12,21 +12,13 @@ from numpy.typing import ArrayLike
 from pickenv.arm import IDEAL, Array, Frame, Scalar, forward
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, standing, tool_dial
+from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, begun, standing, tool_dial
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
+from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.spaces import action_space, flat_space, given_goals, given_options, goal_space
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, OF_TASKS, Task, checked_action, make_task, refuse_unknown
-from pickenv.pictures.shapes import (
-    CUP_RADIUS,
-    arm_at_work,
-    arm_look,
-    cup_solids,
-    fruit_colours,
-    fruit_solids,
-    joined_solids,
-    sprig,
-)
+from pickenv.pictures import shapes
 from pickenv.pictures.stage import SIZE, Stage, Words, fitted_eye
 
 # A reach as a stage to draw. Units: m; mm and degrees in words.
@@ -47,15 +39,15 @@ def draw_reach(task: Task, scene: simulation.View, dark: bool) -> Stage:
         dark: Whether the background is dark.
     """
     nominal, tolerance_mm = task.plant.arm.nominal, task.tolerance_mm
-    look, base = arm_look(nominal), nominal.base.position
+    look, base = shapes.arm_look(nominal), nominal.base.position
     command, tool, fruit = np.array(scene.command), np.array(scene.tool), np.array(scene.fruit)
     axis = forward(nominal, command).rotation[:, 2]
     distance_mm, angle_deg, *_ = scene.numbers
-    solids = joined_solids(
-        arm_at_work(nominal, command, tool, axis, np.array(scene.believed)),
-        cup_solids(tool, axis, CUP_RADIUS),
-        fruit_solids(fruit[None], FRUIT, fruit_colours(1)),
-        sprig(fruit, FRUIT),
+    solids = shapes.joined_solids(
+        shapes.arm_at_work(nominal, command, tool, axis, np.array(scene.believed)),
+        shapes.cup_solids(tool, axis, shapes.CUP_RADIUS),
+        shapes.fruit_solids(fruit[None], FRUIT, shapes.fruit_colours(1)),
+        shapes.sprig(fruit, FRUIT),
     )
     words = (
         Words(f"{distance_mm:.2f} mm, {angle_deg:.2f}° from the fruit", large=True),
@@ -231,8 +223,7 @@ class ReachEnv(ArmEnv):
     * v0: First version.
     """
 
-    task_of: Callable[..., Task] = staticmethod(make_task)
-    """Function that makes the task from the environment's arguments."""
+    task_of: Callable[..., Task] = staticmethod(make_task)  # from the environment's arguments
 
     def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
@@ -264,9 +255,9 @@ class ReachEnv(ArmEnv):
             self._use_arm(task.given_arm(arm))
         start = self._start(options.get("start_joints"))
         goal = self._wanted(options)
-        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
+        state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
         self._step = 0
-        observation, _, information = self._look(0.0)
+        observation, _, information = self._look(state, 0.0)
         return observation, information
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
@@ -277,11 +268,9 @@ class ReachEnv(ArmEnv):
                 1 with `out_of_range="refuse"`, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.actions,), self.task.most_action)
-        if self._state is None:
-            raise InputError("step was called before reset; call reset first")
-        self._state = simulation.act(self._x, self.task, self._state, self._numbers(values.tolist()))
+        state = simulation.act(self._x, self.task, begun(self._state, "step"), self._numbers(values.tolist()))
         self._step += 1
-        observation, reward, information = self._look(self.task.situation.value("period", self._state.drawn))
+        observation, reward, information = self._look(state, self.task.situation.value("period", state.drawn))
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
 
     def _stage(self) -> Stage | None:
@@ -299,16 +288,15 @@ class ReachEnv(ArmEnv):
         reward: Scalar = simulation.true_reward(self._x, self.task, scene)
         return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 
-    def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
-        """Hold the present joint target for ``dt`` seconds, and return observation, reward and `info`."""
-        assert self._state is not None
-        plain, (scene, _) = self._plain, self._looked(self._state, self._step, dt)
+    def _look(self, state: ArmState, dt: Scalar) -> tuple[Any, float, Information]:
+        """Hold the joint target of ``state`` for ``dt`` seconds, and return observation, reward and `info`."""
+        plain, (scene, _) = self._plain, self._looked(state, self._step, dt)
         self._scene = scene
         if self.render_mode == "human":
             self.render()
         observation, reward = self._observe(scene)
-        information: Information = dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True))
-        information |= {
+        information: Information = {
+            **dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True)),
             "is_success": bool(scene.success),
             "pose_error": np.array(plain(scene.error)),
             "joint_command": np.array(plain(scene.command)),

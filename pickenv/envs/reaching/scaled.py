@@ -82,8 +82,7 @@ class ReachScaledEnv(ReachEnv):
         super().__init__(**arguments)
         self.scaling = scaling_of(self.task)
         self.observation_space = self.scaling.space
-        self.raw: Any = np.zeros(self.scaling.inputs, dtype=np.float32)
-        """The latest observation, as `pickenv/Reach-v0` gives it."""
+        self.raw: Any = np.zeros(self.scaling.inputs, dtype=np.float32)  # as `pickenv/Reach-v0` gives it
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
         """Scale the action by the size of the gap, and act as `pickenv/Reach-v0` does.
@@ -99,7 +98,11 @@ class ReachScaledEnv(ReachEnv):
 
 
 class ReachScaledVectorEnv(ReachVectorEnv):
-    """N `pickenv/ReachScaled-v0` in one vector environment, on NumPy; see `pickenv.envs.ReachVectorEnv`."""
+    """N `pickenv/ReachScaled-v0` in one vector environment, on NumPy; see `pickenv.envs.ReachVectorEnv`.
+
+    Attributes:
+        raw: The latest observations, as `pickenv/Reach-v0` gives them.
+    """
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
         super().__init__(num_envs, **arguments)
@@ -108,7 +111,6 @@ class ReachScaledVectorEnv(ReachVectorEnv):
         self.scaling = scaling_of(self.task)
         set_spaces(self, self.scaling.space, self.single_action_space)
         self.raw: Any = np.zeros((self.num_envs, self.scaling.inputs), dtype=np.float32)
-        """The latest observations, as `pickenv/Reach-v0` gives them."""
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays that the next step depends on; see `ReachVectorEnv.state_arrays`."""

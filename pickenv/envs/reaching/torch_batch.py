@@ -23,13 +23,6 @@ from pickenv.envs.shared.backends import Flags, Rows, torch_executor
 from pickenv.envs.shared.task import Compensators, Task, as_numbers, check_choice
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
-BLOCK = 32768
-"""Number of environments that begin an episode together on a CPU: as many as fit its cache."""
-
-MOST_FUSED = 4096
-"""Largest number of operations in one loop. torch's own limit of 64 would split the step into loops that wait for
-memory."""
-
 Tensor = torch.Tensor
 
 
@@ -45,11 +38,17 @@ class TorchBatch(Batch):
         dtype: "float64" or "float32".
         compiled: Whether the step is compiled by `torch.compile`; if not, it runs eagerly.
 
+    Attributes:
+        BLOCK: Number of environments that begin an episode together on a CPU: as many as fit its cache.
+        MOST_FUSED: Largest number of operations in one loop. torch's own limit of 64 would split the step into loops
+            that wait for memory.
+
     Raises:
         InputError: If the device cannot be used, or the number type is unknown.
     """
 
     remade = ("_step", "_see", "_pack")
+    BLOCK, MOST_FUSED = 32768, 4096
 
     def __init__(
         self, task: Task, count: int, goal_dict: bool, poses: bool, device: str, dtype: str, compiled: bool
@@ -61,7 +60,7 @@ class TorchBatch(Batch):
             raise InputError(f"device {device!r} cannot be used ({str(error).splitlines()[0]}); give cpu") from error
         self.dtype = DTYPES[dtype]
         self.x = torch_executor()
-        self.block = BLOCK if self.device.type == "cpu" else count
+        self.block = self.BLOCK if self.device.type == "cpu" else count
         super().__init__(task, count, goal_dict, poses)
         self.population: Plant = plants_on(task.plant, self.numbers)
         self.plant: Plant = self.population
@@ -87,7 +86,7 @@ class TorchBatch(Batch):
         """Compile ``function`` if steps are compiled; on a CPU, into one loop that stores no intermediate results."""
         if not self._compiled:
             return function
-        options: Any = {"max_fusion_size": MOST_FUSED} if self.device.type == "cpu" else {}
+        options: Any = {"max_fusion_size": self.MOST_FUSED} if self.device.type == "cpu" else {}
         return torch.compile(function, fullgraph=True, dynamic=False, options=options)
 
     def numbers(self, values: Array) -> Tensor:
@@ -175,11 +174,10 @@ class TorchBatch(Batch):
         """
         x, plant = self.x, plant or self.plant
         state, scene = simulation.look(x, self.task, plant, self.state_of(columns), commands, keys, when, dt)
-        parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
         reward = [] if self.goal_dict else [simulation.true_reward(x, self.task, scene)]
         vectors = scene.vectors[:-3] if self.poses else ()
         memory = [value.to(self.dtype) for value in state.columns[self.fixed :]]
-        return [*memory, *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
+        return [*memory, *chain.from_iterable(self.parts(scene)), *reward, *scene.numbers, *vectors]
 
     def _outcome(self, out: Columns, fruit: Columns) -> Views:
         """Make `Views` from the fruit's position and the columns of `_shown`, without the columns of the state."""

@@ -24,7 +24,6 @@ from pickenv.envs.shared.task import OF_TASKS, Task, check_choice, make_task, re
 from pickenv.pictures.stage import Stage
 
 STATE = {"seeds": "_seeds", "episodes": "_episodes", "elapsed": "_elapsed", "ended": "_over"}
-"""Attributes of the environment that a checkpoint stores, by the names that they have in the checkpoint."""
 
 
 class ReachVectorEnv(NativeVectorEnv):
@@ -115,9 +114,10 @@ class ReachVectorEnv(NativeVectorEnv):
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays that the next step depends on, for a checkpoint.
 
+        `STATE` has the names of the environment's attributes among them, by the names that they have in the checkpoint.
         This works for environments on NumPy with an autoreset mode other than "Disabled".
         """
-        arrays: dict[str, NDArray[Any]] = {key: getattr(self, name) for key, name in STATE.items()}
+        arrays = {key: getattr(self, name) for key, name in STATE.items()}
         arrays["seeded"] = np.full(self.num_envs, self._begun)
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
@@ -192,7 +192,6 @@ class ReachVectorEnv(NativeVectorEnv):
 
 
 Settings = Mapping[str, Any]
-"""Settings of an executor by name: ``device``, ``dtype`` and ``compiled``; only torch uses them."""
 
 
 @register("backend", "compiled")
@@ -217,6 +216,8 @@ def _numpy(task: Task, count: int, goal_dict: bool, poses: bool, settings: Setti
 @register("backend", "torch")
 def _torch(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
     """Make a `Batch` whose step runs on torch tensors, from the arguments of `Batch` and the executor's settings.
+
+    The settings are ``device``, ``dtype`` and ``compiled``; only torch uses them.
 
     Raises:
         MissingExtra: If torch is not installed.

@@ -11,47 +11,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import (
-    Arm,
-    Array,
-    Frame,
-    ModelArm,
-    Plant,
-    Pose,
-    arm_in_mujoco,
-    frame_of,
-    frame_within,
-    mjcf_text,
-    quaternion,
-    rotation_matrix,
-)
+from pickenv.arm import Arm, Array, Frame, Plant, Pose, frame_of, frame_within, rotation_matrix
+from pickenv.arm.files.mjcf import mjcf_text
+from pickenv.arm.files.model_arm import ModelArm, arm_in_mujoco, quaternion
 from pickenv.base import GRAVITY, InputError, is_file, require
 from pickenv.orchard.fruit import Branch, Detachment, FruitSize, fruit_masses, sample_strength
 from pickenv.orchard.gripper import Gripper, Suction
 from pickenv.pictures.stage import Eye, Pixels
 
+require("mujoco")
+import mujoco  # noqa: E402
+
+from pickenv.pictures.mujoco_drawer import ModelPictures  # noqa: E402
+
 TIMESTEP, CHUNK = 0.004, 5
-"""Length of a physics step, and number of steps after which stems and the cup's hold are checked for breaking."""
-
 STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
-"""Stiffness and damping of the drives of arms that are made from an arm file, and the inertia that their gears add, all
-in SI units for joints that turn or slide.
-These drives settle within one or two control periods. Without the inertia, damping would dominate at the wrist and
-contacts would be unstable."""
-
 CAMERAS = ("world", "wrist")
 HULL, AS_DRAWN, UNSEEN = 48, 2, 5
-"""`HULL` is the largest number of corners of the convex hulls that replace a manufacturer's meshes in contacts and
-pictures. `AS_DRAWN` is the group of geoms that only show the arm's look and take ten times as long to draw. `UNSEEN` is
-the group of geoms that are not drawn."""
-
 OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
 SMALLEST, LARGEST = 16, 1024
 """Bounds of the width and height of pictures."""
@@ -132,7 +114,6 @@ class ContactScene:
     """
 
     def __init__(self, arm: Arm, around: Surroundings) -> None:
-        require("mujoco")
         self.around, self.nominal = around, arm.nominal
         spec = self._robot(arm)
         try:
@@ -153,14 +134,14 @@ class ContactScene:
         for number in range(around.fruit):
             self._hang(spec, number)
         self.model: Any = spec.compile()
-        self.data: Any = self._mujoco.MjData(self.model)
+        self.data: Any = mujoco.MjData(self.model)
         self._find()
         robot = (self.model.geom_contype == GRIPPER_BIT) & (np.arange(self.model.ngeom) != self._cup)
         self.model.geom_contype[robot] = self.model.geom_conaffinity[robot] = OTHER  # the arm's hulls are only drawn
         self.held, self.suction = np.ones(around.fruit, dtype=np.bool_), False
         self.strength = np.full(around.fruit, np.inf)
         self._plant: Plant | None = None
-        self._pictures: dict[tuple[int, int], Any] = {}
+        self._pictures: dict[tuple[int, int], ModelPictures] = {}
         self._shown: Any = None
         self._sent: Array = np.zeros(self.model.nu)
 
@@ -168,13 +149,18 @@ class ContactScene:
         """Return all attributes but the renderers, for pickling and copying."""
         return self.__dict__ | {"_pictures": {}, "_shown": None}
 
-    @property
-    def _mujoco(self) -> Any:
-        return import_module("mujoco")
-
     def _robot(self, arm: Arm) -> Any:
-        """Return the MuJoCo specification (`mujoco.MjSpec`) of the arm without weight, and of the world camera."""
-        mujoco, around = self._mujoco, self.around
+        """Return the MuJoCo specification (`mujoco.MjSpec`) of the arm without weight, and of the world camera.
+
+        Drives of arms that are made from an arm file have `STIFFNESS` and `DAMPING`, and their gears add the inertia
+        `ARMATURE`, all in SI units for joints that turn or slide. These drives settle within one or two control
+        periods. Without the inertia, damping would dominate at the wrist and contacts would be unstable.
+
+        A manufacturer's meshes are replaced in contacts and pictures by convex hulls with at most `HULL` corners. Geoms
+        of the group `AS_DRAWN` only show the arm's look and take ten times as long to draw; geoms of the group `UNSEEN`
+        are not drawn.
+        """
+        around = self.around
         if around.model is None:
             spec = mujoco.MjSpec.from_string(mjcf_text(arm.nominal, arm.name))
             for actuator in spec.actuators:
@@ -225,7 +211,7 @@ class ContactScene:
 
         ``tool`` is the tool's frame in the frame of this body.
         """
-        mujoco, around = self._mujoco, self.around
+        around = self.around
         rotation, place, face = np.array(tool[:9]).reshape(3, 3).T, np.array(tool[9:]), -around.radius
         stand = around.radius + 0.08 * around.scale
         if around.model is None:  # rods would end in the fruit
@@ -272,11 +258,11 @@ class ContactScene:
         if np.linalg.norm(np.subtract(end, start)) > radius:
             look = {"contype": OTHER, "conaffinity": OTHER, "mass": 1e-3, "rgba": METAL}
             ends = [*np.asarray(start).tolist(), *np.asarray(end).tolist()]
-            body.add_geom(type=self._mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[radius, 0.0, 0.0], **look)
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[radius, 0.0, 0.0], **look)
 
     def _hang(self, spec: Any, number: int) -> None:
         """Add the branch and the fruit with the index ``number`` (from 0); fruit 0 gets the leaves too."""
-        mujoco, around = self._mujoco, self.around
+        around = self.around
         scale, radius, stem = around.scale, around.radius, around.scale * around.detachment.stem
         bearer = spec.worldbody.add_body(name=f"bearer {number}", pos=[0.0, 0.0, 2.0])
         wood = around.branch.wood * scale**3
@@ -354,7 +340,7 @@ class ContactScene:
         self._cameras = {name: model.camera(f"pickenv {name}").id for name in CAMERAS}
         turned = {name: np.zeros(9) for name in CAMERAS}
         for name, i in self._cameras.items():
-            self._mujoco.mju_quat2Mat(turned[name], model.cam_quat[i])
+            mujoco.mju_quat2Mat(turned[name], model.cam_quat[i])
         self._said = {name: (model.cam_pos[i].copy(), turned[name].reshape(3, 3)) for name, i in self._cameras.items()}
 
     def begin(self, plant: Plant, joints: Sequence[float], tool: Frame, fruit: Array, rng: np.random.Generator) -> None:
@@ -367,7 +353,7 @@ class ContactScene:
             fruit: Where fruit hangs at rest ``(f, 3)``, m, base frame.
             rng: Random generator for strengths of stems, places of leaves and errors of cameras.
         """
-        mujoco, model, data, around = self._mujoco, self.model, self.data, self.around
+        model, data, around = self.model, self.data, self.around
         mujoco.mj_resetData(model, data)
         if plant.geometry is not (plant.arm.nominal if self._plant is None else self._plant.geometry):
             self.arm.take(plant.geometry)
@@ -397,6 +383,9 @@ class ContactScene:
     def carry(self, joints: Sequence[float], tool: Frame, grip: float, period: float) -> None:
         """Simulate one period, in which the drives move on to new joint positions.
 
+        Stems and the cup's hold are checked for breaking after every `CHUNK` physics steps, which take `TIMESTEP`, or
+        half of it with a manufacturer's model.
+
         Args:
             joints: Positions of the true arm's joints at the end of the period ``(n,)``, rad or m.
             tool: The tool's true frame at the end of the period.
@@ -412,11 +401,11 @@ class ContactScene:
             steps = min(CHUNK, count - passed)
             passed += steps
             data.ctrl[:] = end if passed == count else start + (end - start) * (passed / count)
-            self._mujoco.mj_step(self.model, data, steps)
+            mujoco.mj_step(self.model, data, steps)
             self._hold()
             self._break()
         self._sent = end
-        self._mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_kinematics(self.model, data)
 
     def _place(self, joints: Sequence[float], tool: Frame) -> None:
         if self._plant is not None and self._plant.effects:
@@ -433,8 +422,8 @@ class ContactScene:
                 if np.hypot(*place[:2]) <= self.around.clearance:
                     model.eq_data[hold, 3:6] = place
                     back, turn = np.zeros((2, 4))  # of one sign with MuJoCo's own, or the weld would push
-                    self._mujoco.mju_negQuat(back, data.xquat[self._hand])
-                    self._mujoco.mju_mulQuat(turn, back, data.xquat[self._fruit[i]])
+                    mujoco.mju_negQuat(back, data.xquat[self._hand])
+                    mujoco.mju_mulQuat(turn, back, data.xquat[self._fruit[i]])
                     model.eq_data[hold, 6:10] = turn
                     data.eq_active[hold] = 1
 
@@ -496,10 +485,7 @@ class ContactScene:
         Raises:
             InputError: If this machine cannot render without a screen.
         """
-        mujoco = self._mujoco
         if size not in self._pictures:  # films are larger than what is observed, and a context takes long to make
-            from pickenv.pictures.mujoco_drawer import ModelPictures  # late: it loads MuJoCo
-
             try:
                 self._pictures[size] = ModelPictures(self.model, size)
             except Exception as error:  # each way of drawing has its own errors
@@ -510,7 +496,7 @@ class ContactScene:
             self._shown.sitegroup[:] = 0
             self._shown.flags[mujoco.mjtVisFlag.mjVIS_CONVEXHULL] = 1
         mujoco.mj_camlight(self.model, self.data)
-        return cast(Pixels, self._pictures[size].draw(self.data, self._cameras[camera], self._shown, dark))
+        return self._pictures[size].draw(self.data, self._cameras[camera], self._shown, dark)
 
     def close(self) -> None:
         """Free the renderers."""

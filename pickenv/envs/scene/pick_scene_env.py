@@ -19,7 +19,7 @@ from pickenv.envs.picking.pick_arm import act_arm
 from pickenv.envs.reaching.reach import VIEW, ReachEnv
 from pickenv.envs.scene.contact_scene import CAMERAS, LARGEST, SMALLEST, ContactScene, Surroundings
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_env import RENDER_MODES, Information
+from pickenv.envs.shared.arm_env import RENDER_MODES, Information, begun
 from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
 from pickenv.envs.shared.situation import make_situation
@@ -39,23 +39,11 @@ from pickenv.orchard.gripper import misalignment
 from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
 
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos", "pixels_environment_state_agent_pos")
-WITHOUT_USE = ("reward", "tolerance_mm", "angle_tolerance_deg", "end_on_success")
-"""Arguments of `pickenv/Reach-v0` that are refused, since they would have no effect."""
-
 USUAL_PLANT = "ideal:ur5e"
-PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
-"""Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
-
+PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25  # the class explains these and the next two
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
-"""Number of steps for which a detached fruit must be held to count as picked, and smallest reach of arms for which
-`scale` is 1 by default."""
-
 SPREAD, ATTEMPTS = 64, 2000
-"""Number of poses over which `error_mm` is the mean, and number of poses tried to find places for fruit."""
-
 TRIES = 1, 3, 12, 34
-"""Numbers of pairs of a fruit and a start that are drawn at once. Drawing ends when the arm reaches the fruit and the
-start of a pair."""
 
 
 class PickSceneEnv(ReachEnv):
@@ -165,10 +153,10 @@ class PickSceneEnv(ReachEnv):
     * v0: First version.
     """
 
+    # Starts with `within_mm`, at full scale. `before` is the range of the tool's distance to the fruit along its axis,
+    # m. The largest distance across the axis is `beside[0]`, m, plus `beside[1]` times the distance along it. `turned`
+    # is the standard deviation per axis of the attitude, rad.
     before, beside, turned = (0.06, 0.3), (0.02, 0.35), 0.1
-    """Starts with `within_mm`, at full scale. `before` is the range of the tool's distance to the fruit along its axis,
-    m. The largest distance across the axis is `beside[0]`, m, plus `beside[1]` times the distance along it. `turned` is
-    the standard deviation per axis of the attitude, rad."""
 
     def __init__(
         self,
@@ -191,8 +179,9 @@ class PickSceneEnv(ReachEnv):
         **arguments: Any,
     ) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
-        if useless := [name for name in WITHOUT_USE if name in arguments]:
-            raise InputError(f"{useless[0]} has no effect where success is a picked fruit; leave it out")
+        for name in ("reward", "tolerance_mm", "angle_tolerance_deg", "end_on_success"):
+            if name in arguments:
+                raise InputError(f"{name} has no effect where success is a picked fruit; leave it out")
         check_choice("executor", arguments.pop("executor", "floats"), ("floats",))
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
@@ -249,7 +238,10 @@ class PickSceneEnv(ReachEnv):
         self._holding, self._closed = 0, (0.0, 0.0)
 
     def _places(self) -> Array:
-        """Return k possible positions of fruit, then the position of the arm's base, ``(k + 1, 3)``, m, base frame."""
+        """Return k possible positions of fruit, then the position of the arm's base, ``(k + 1, 3)``, m, base frame.
+
+        They are the positions of the first `SPREAD` poses among `ATTEMPTS` that fit the task.
+        """
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
         joints: Array = np.array(list(islice((pose for pose, fits in tries if fits), SPREAD)))
         geometry = self.task.plant.arm.nominal
@@ -266,7 +258,11 @@ class PickSceneEnv(ReachEnv):
         return self._pair[1]
 
     def _before_fruit(self, within: float) -> tuple[Array, Array]:
-        """Draw the joints that `_placed` returns; `_placed` explains them."""
+        """Draw the joints that `_placed` returns; `_placed` explains them.
+
+        `TRIES` has the numbers of pairs of a fruit and a start that are drawn at once. Drawing ends when the arm
+        reaches the fruit and the start of a pair.
+        """
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
         how: dict[str, Any] = {"restarts": 0, "position_only": geometry.joints < 6}
@@ -301,7 +297,10 @@ class PickSceneEnv(ReachEnv):
         self.plant = self._scaled(self.plant)
 
     def _scaled(self, plant: Plant) -> Plant:
-        """Return the true arm ``plant`` with its errors scaled to `error_mm`, or unchanged if `error_mm` is None."""
+        """Return the true arm ``plant`` with its errors scaled to `error_mm`, or unchanged if `error_mm` is None.
+
+        The error is the mean over `SPREAD` poses.
+        """
         if self._error is None:
             return plant
         return erring_by(plant, 1e-3 * self._error, halton_joints(plant.arm.nominal, SPREAD))
@@ -328,12 +327,10 @@ class PickSceneEnv(ReachEnv):
             InputError: If the action has another shape or invalid numbers, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.actions,), self.task.most_action)
-        if self._state is None:
-            raise InputError("step was called before reset; call reset first")
-        self._state, self._grip, _, period = act_arm(self._x, self.task, self._state, values.tolist())
+        state, self._grip, _, period = act_arm(self._x, self.task, begun(self._state, "step"), values.tolist())
         self._step += 1
         was_held = bool(self.scene.held[0])
-        observation, _, information = self._look(period)
+        observation, _, information = self._look(state, period)
         success = information["is_success"]
         reward = float(success) + BONUS * float(information["detached"] and was_held) - STEP_COST
         return observation, reward, success, False, information
@@ -373,19 +370,17 @@ class PickSceneEnv(ReachEnv):
         self._grip, self._holding, self._closed = -1.0, 0, (0.0, 0.0)
         self.scene.begin(plant, joints, tool, np.array(goal[9:]) + apart, rng)
 
-    def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
-        observation, reward, information = super()._look(dt)
+    def _look(self, state: ArmState, dt: Scalar) -> tuple[Any, float, Information]:
+        observation, reward, information = super()._look(state, dt)
         scene = self.scene
         tool = np.array(scene.tool)
         lateral, axial, _ = misalignment(scene.fruit[0] - tool[9:], tool[6:9])
-        touched, closing = bool(scene.touched[0]), self._grip > 0.0
-        if closing and touched and self._closed == (0.0, 0.0):
+        if self._grip > 0.0 and scene.touched[0] and self._closed == (0.0, 0.0):
             self._closed = 1e3 * float(lateral), 1e3 * float(axial)
-        taken = bool(scene.taken[0])
-        self._holding = self._holding + 1 if taken and not scene.held[0] else 0
-        detached, (lateral_mm, axial_mm) = not bool(scene.held[0]), self._closed
+        taken, detached = bool(scene.taken[0]), not scene.held[0]
+        self._holding = self._holding + 1 if taken and detached else 0
         information |= {"is_success": self._holding >= HELD_STEPS, "attached": taken, "detached": detached}
-        information |= {"grasp_lateral_mm": lateral_mm, "grasp_axial_mm": axial_mm}
+        information |= zip(("grasp_lateral_mm", "grasp_axial_mm"), self._closed, strict=True)
         return observation, reward, information
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
@@ -404,8 +399,7 @@ class PickSceneEnv(ReachEnv):
         return views, reward
 
     def _picture(self) -> Pixels:
-        if self._state is None:
-            raise InputError("render was called before reset; call reset first")
+        begun(self._state, "render")
         return self.scene.picture("world", SIZE, self.dark)
 
     def close(self) -> None:

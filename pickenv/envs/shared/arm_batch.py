@@ -230,22 +230,22 @@ class NumpyArms(ArmBatch):
 
     Arms are simulated in blocks that fit into the processor's cache, so that the time per arm does not grow with the
     number of arms.
+
+    Attributes:
+        block: Number of arms in a block. A component then takes 16 KiB; a core's first-level cache holds a few of them.
     """
 
     x = NUMPY
     block = 2048
-    """Number of arms in a block. A component then takes 16 KiB; a core's first-level cache holds a few of them."""
-
     remade: tuple[str, ...] = ("_plants",)
 
     def make_plants(self) -> None:
-        """Set the true arms of all environments, and the true arms of each block of environments."""
+        """Set the true arms of all environments, and the blocks of environments that are simulated together."""
         self.population = self.plant = self.task.plant
         if self.task.arms != "fixed":
             self.plant = plants_on(self.task.plant, lambda values: values[self.arm])
         self.plant = exact_plant(self.plant)
         self._blocks = [slice(a, b) for a, b in self.blocks(self.count)]
-        NumpyArms.remake(self)
 
     def remake(self) -> None:
         """Make the true arms of each block of environments, as parts of `plant` that share its arrays."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,6 @@ from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import PlainSpec
 from pickenv.envs.shared.task import Compensate, Task, check_choice, exact_plant
 from pickenv.pictures import shapes
-from pickenv.pictures.shapes import ground_around, pedestal
 from pickenv.pictures.stage import Dial, Mesh, Pixels, Rgb, Stage, seen_along
 
 # What environments that can be drawn have in common: render modes, pictures, and the window that shows them.
@@ -91,6 +90,20 @@ def checked_render_mode(mode: str | None, modes: tuple[str, ...]) -> str | None:
     return mode
 
 
+Begun = TypeVar("Begun")
+
+
+def begun(state: Begun | None, method: str) -> Begun:
+    """Return ``state``, which is None until the first episode begins.
+
+    Raises:
+        InputError: If ``state`` is None; the message names the ``method`` that was called too early.
+    """
+    if state is None:
+        raise InputError(f"{method} was called before reset; call reset first")
+    return state
+
+
 def drawn(stage: Stage | None) -> Pixels:
     """Draw a stage, as RGB pixels ``(height, width, 3)``.
 
@@ -99,9 +112,7 @@ def drawn(stage: Stage | None) -> Pixels:
     """
     from pickenv.pictures.drawers import painted
 
-    if stage is None:
-        raise InputError("render was called before reset; call reset first")
-    return painted(stage)
+    return painted(begun(stage, "render"))
 
 
 Information = dict[str, Any]
@@ -139,7 +150,7 @@ class ArmEnv(DrawnEnv):
             from pickenv.envs.shared.compiled_look import CompiledLook
 
             self._compiled = CompiledLook(self.look, task)
-        self.plant: Plant = task.plant if task.arms == "fixed" else plant_at(task.plant, 0)
+        self.plant: Plant = task.plant if fixed else plant_at(task.plant, 0)
         if self._x is NUMPY:
             self.plant = exact_plant(self.plant)
         self.compensator: Compensate | None = None
@@ -228,7 +239,7 @@ GHOST_WORDS = f"ghost: the arm as believed, deviation × {shapes.GAIN}"
 def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
     """Return the meshes of the ground at height ``ground``, m, and of the pedestal under the arm's base."""
     x, y, _ = geometry.base.position.tolist()
-    return ground_around(x, y, ground, dark), pedestal(geometry, ground)
+    return shapes.ground_around(x, y, ground, dark), shapes.pedestal(geometry, ground)
 
 
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:

@@ -124,9 +124,6 @@ GOLDEN = 0x9E3779B97F4A7C15
 """Step of the Weyl sequence: an odd integer near 2^64 divided by the golden ratio."""
 
 GOAL, FRUIT, CAMERA, ARM, DRAWN, START, JOINTS = range(1, 8)
-"""Indices of an episode's random streams. `GOAL` is for the wanted pose, `FRUIT` for the noise of the fruit as the
-camera saw it, and `CAMERA` for the camera's noise in each step. `ARM` is for the choice of the true arm, `DRAWN` for
-the numbers of the situation, `START` for the start, and `JOINTS` for the noise of joint readings in each step."""
 
 
 def mixed(x: Executor, word: Scalar) -> Scalar:
@@ -146,7 +143,12 @@ def episode_key(x: Executor, seed: Scalar, episode: Scalar) -> Scalar:
 
 
 def stream_key(x: Executor, key: Scalar, stream: int) -> Scalar:
-    """Compute the key of one random stream, such as `GOAL`, of the episode with the key ``key``."""
+    """Compute the key of one random stream of the episode with the key ``key``.
+
+    The stream `GOAL` is for the wanted pose, `FRUIT` for the noise of the fruit as the camera saw it, and `CAMERA` for
+    the camera's noise in each step. `ARM` is for the choice of the true arm, `DRAWN` for the numbers of the situation,
+    `START` for the start, and `JOINTS` for the noise of joint readings in each step.
+    """
     return mixed(x, x.plus(key, x.word(stream * GOLDEN)))
 
 

@@ -22,7 +22,6 @@ from pickenv.envs.shared.task import Compensators, check_choice, check_count
 from pickenv.pictures.stage import Stage
 
 Seeds = int | Sequence[int | None] | None
-"""Seeds that `reset` of a vector environment takes; `checked_seeds` explains them."""
 
 
 class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):

@@ -24,12 +24,7 @@ from pickenv.envs.shared.task import GOAL_MARGIN, Task, inexact
 DEGREES = 57.29577951308232
 """Degrees in one radian."""
 
-DAMPING = 1e-5
-"""Damping of the least squares that turn a tool motion into joint motions, as a share of the sum of the Jacobian's
-squared entries."""
-
-GOAL_NUMBERS = 9
-"""Count of numbers in a goal: its position, and the z and x axes of its attitude."""
+DAMPING, GOAL_NUMBERS = 1e-5, 9
 
 NUMBER_KEYS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
 
@@ -226,8 +221,9 @@ def act(x: Executor, task: Task, state: ArmState, action: Scalars) -> ArmState:
 def joint_shares(x: Executor, task: Task, target: Scalars, action: Scalars) -> list[Scalar]:
     """Compute the shares of the joints' largest increments that move the believed tool by an action.
 
-    If a joint would exceed its largest increment, all joints are slowed by one factor, so that the tool keeps its
-    direction.
+    They come from damped least squares; the damping is the share `DAMPING` of the sum of the Jacobian's squared
+    entries. If a joint would exceed its largest increment, all joints are slowed by one factor, so that the tool keeps
+    its direction.
 
     Args:
         x: The executor.
@@ -386,9 +382,8 @@ def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Sca
 
     For a task without attitude only the distance counts.
     """
-    if not task.attitude:
-        return distance_mm <= task.tolerance_mm
-    return (distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg)
+    near = distance_mm <= task.tolerance_mm
+    return near & (angle_deg <= task.angle_tolerance_deg) if task.attitude else near
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Scalars) -> Scalar:

@@ -22,16 +22,10 @@ from pickenv.envs.shared.backends import DRAWN, START, Executor, stream_key, uni
 CONTROL_PERIOD = 0.1
 """Default time between two actions, s: multiplied by a joint's speed in the arm file, it is the largest increment."""
 
-MOST_STEPS = 20
-"""Largest number of periods by which actions or readings can be late. It is limited because late ones have to be
-stored."""
-
-MOST_HOURS = 1000.0
-"""Largest value of `hours_on`."""
+MOST_STEPS, MOST_HOURS = 20, 1000.0
 
 Components = tuple[Scalar, ...]
-Given = float | Sequence[float]
-"""A number, or a range given as [least, largest]."""
+Given = float | Sequence[float]  # a number, or a range as [least, largest]
 
 
 class Span(NamedTuple):
@@ -112,6 +106,8 @@ def make_situation(
 ) -> Situation:
     """Check the arguments, which `pickenv/Reach-v0` explains, and return the situation.
 
+    Actions and readings are late by at most `MOST_STEPS` periods, because late ones have to be stored.
+
     Raises:
         InputError: If a number is outside the range that the environment allows. The message names the argument and
             this range.
@@ -149,12 +145,9 @@ def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
 
     Numbers that stand for whole numbers still have a fraction, which later comparisons cut off.
     """
-    values, stream = [], stream_key(x, key, DRAWN)
-    for name in setting.drawn:
-        low, high = getattr(setting, name)
-        number = [part.name for part in fields(setting)].index(name)
-        values.append(low + (high - low + isinstance(low, int)) * uniform(x, stream, number))
-    return tuple(values)
+    stream, names = stream_key(x, key, DRAWN), [part.name for part in fields(setting)]
+    spans = ((names.index(name), *getattr(setting, name)) for name in setting.drawn)
+    return tuple([low + (high - low + isinstance(low, int)) * uniform(x, stream, i) for i, low, high in spans])
 
 
 def drawn_start(

@@ -44,14 +44,14 @@ class PlainSpec:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        paths = {} if spec is None else {key: str(p) for key, p in spec.kwargs.items() if isinstance(p, PurePath)}
-        if spec is not None and paths:
+        if spec is not None:
             spec = copy.copy(spec)
-            spec.kwargs = spec.kwargs | paths
+            spec.kwargs = spec.kwargs | {key: str(p) for key, p in spec.kwargs.items() if isinstance(p, PurePath)}
         self._spec = spec
 
 
-GOALS = ("goal_joints", "goal_position", "goal_pose")
+GOAL_ROWS = {"goal_position": (3, "x, y, z in m"), "goal_pose": (6, "x, y, z in m and a rotation vector in rad")}
+GOALS = ("goal_joints", *GOAL_ROWS)
 OPTIONS = ("start_joints", *GOALS, "arm")
 
 
@@ -106,21 +106,19 @@ def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str,
 
 
 POOL, NEAREST = 2**14, 16
-"""`POOL` is the number of sampled poses. Inverse kinematics starts from the `NEAREST` poses nearest to a position."""
 
 
-Goals = tuple[Array | None, Array | None]
-"""Goals that options of `reset` give: joints of the nominal arm at the goal ``(..., n)``, and frames of the goal
-``(..., 12)``, axes and origin. One of the two is None, or both if no goal is given."""
-
-
-def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> Goals:
-    """Return the goals that the options of `reset` give, as `Goals`.
+def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> tuple[Array | None, Array | None]:
+    """Return the goals that the options of `reset` give.
 
     Args:
         task: The task.
         options: The options; of `GOALS` at most one may be given.
         count: Number of environments, or None for a single one.
+
+    Returns:
+        Joints of the nominal arm at the goal ``(..., n)``, and frames of the goal ``(..., 12)``, axes and origin. One
+        of the two is None, or both if no goal is given.
 
     Raises:
         InputError: If more than one option gives a goal, a shape is wrong, or the nominal arm cannot get to a position.
@@ -133,9 +131,7 @@ def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None
     (name,) = names
     if name == "goal_joints":
         return task.given_joints(name, options[name], count), None
-    width, columns = (
-        (3, "x, y, z in m") if name == "goal_position" else (6, "x, y, z in m and a rotation vector in rad")
-    )
+    width, columns = GOAL_ROWS[name]
     rows = as_numbers(f"option {name}", options[name])
     shapes = [(width,)] if count is None else [(width,), (count, width)]
     if rows.shape not in shapes:
@@ -150,7 +146,8 @@ def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None
 def _reached(task: Task, position: Array) -> Array:
     """Find joints ``(n,)``, rad or m, that bring the nominal tool to a position ``(3,)``, m.
 
-    The tool's axis is at most the task's largest tilt away from the vertical.
+    The tool's axis is at most the task's largest tilt away from the vertical. Inverse kinematics starts from the
+    `NEAREST` sampled poses nearest to the position.
     """
     geometry = task.plant.arm.nominal
     joints, poses = spread_poses(geometry)
@@ -188,13 +185,6 @@ def spread_poses(geometry: Geometry) -> tuple[Array, Pose]:
     """Return joints ``(POOL, n)`` from a Halton sequence over their ranges, and the nominal tool's poses there."""
     joints = halton_joints(geometry, POOL)
     return joints, forward(geometry, joints)
-
-
-SMALLEST = 1e-6
-"""Smallest size of a gap, as a share of `Scaling.near` and `Scaling.near_turn`; smaller gaps count as this size."""
-
-ROUNDING = 1e-3
-"""Margin for rounding in the bounds of observed numbers whose magnitude is at most one."""
 
 
 class Rescaling(ABC):
@@ -279,7 +269,11 @@ class Scaling(Rescaling):
         near_turn: Attitude gap below which actions shrink in proportion to it, rad.
         tool: Count of the numbers of an action that moves the tool: 6, or 3 without attitude. It is 0 if actions
             move joints. A network that moves the tool does not see the joints.
+        SMALLEST: Smallest size of a gap, as a share of `near` and `near_turn`; smaller gaps count as this size.
+        ROUNDING: Margin for rounding in the bounds of observed numbers whose magnitude is at most one.
     """
+
+    SMALLEST, ROUNDING = 1e-6, 1e-3
 
     joints: int
     camera: bool = False
@@ -304,7 +298,7 @@ class Scaling(Rescaling):
     def space(self) -> spaces.Box:
         """Space of the observations that the networks see."""
         joints, gaps = ([], self.tool) if self.tool else ([1.0] * self.joints, 6)
-        high = [*joints, *[1.0 + ROUNDING] * gaps, -math.log10(SMALLEST) / 2.0]
+        high = [*joints, *[1.0 + self.ROUNDING] * gaps, -math.log10(self.SMALLEST) / 2.0]
         return spaces.Box(-np.array(high, np.float32), np.array(high, np.float32), dtype=np.float32)
 
     @property
@@ -332,7 +326,7 @@ class Scaling(Rescaling):
         """
         gap, turn = self.gap(values, xp)
         far, turned = vector_length(gap) / self.near, vector_length(turn) / self.near_turn
-        return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), SMALLEST, None)
+        return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), self.SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
         """Compute the factor ``(..., 1)``, at most 1, by which a network's actions at observations are multiplied.

@@ -16,19 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import (
-    Array,
-    Frame,
-    Geometry,
-    Plant,
-    draw_plants,
-    forward,
-    joint_jacobian,
-    load_plant,
-    plant_at,
-    plant_count,
-)
-from pickenv.arm.kinematics.forward import Chain, Scalar, chain_of, frames
+from pickenv.arm import Array, Geometry, Plant, draw_plants, forward, joint_jacobian, load_plant, plant_at, plant_count
+from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, frames
 from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE
 from pickenv.arm.plant.plant_file import class_of, draw_arms
@@ -111,7 +100,6 @@ MOST_CAMERA_NOISE_MM = 100.0
 leave for errors."""
 
 MOST_NUMBER = 1e6
-"""Largest value that is accepted for an environment's numeric arguments, whatever their unit."""
 
 FEEDBACK = ("encoders", "camera")
 REWARDS = ("dense", "sparse")
@@ -125,14 +113,11 @@ USUAL_TILT = 30.0
 """Largest tilt of goals if `max_tilt_deg` is not given, deg."""
 
 UPRIGHT, TILTED_POSES = 0.01, 2**10
-"""Smallest share of an arm's poses that must lie below the largest tilt, and the number of poses sampled to test
-this."""
 
 Compensate = Callable[[Array], Array]
-"""A function that maps joint targets ``(..., n)`` to joint commands ``(..., n)``, rad or m."""
+"""A function that maps the nominal arm's joint targets to the real arm's joint commands, ``(..., n)`` each (rad, m)."""
 
 Compensators = Compensate | Sequence[Compensate]
-"""A compensator for all environments of a vector, or one for each of them."""
 
 
 def commanded(compensate: Compensators, joints: Array, where: Any = slice(None)) -> Array:
@@ -392,7 +377,8 @@ def refuse_unknown(env: Any, arguments: Iterable[str], *makers: Callable[..., An
     """
     takers = (*(vars(kind)["__init__"] for kind in type(env).__mro__ if "__init__" in vars(kind)), *makers)
     parameters = [parameter for taker in takers for parameter in signature(taker).parameters.values()]
-    taken = sorted({p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)} - OF_CLASSES)
+    named = {p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+    taken = sorted(named - {"self", "task"})  # which classes and the ladder have beside arguments of environments
     for name in arguments:
         if name not in taken:
             raise InputError(unknown("argument", name, taken))
@@ -413,9 +399,6 @@ def refuse_idle(maker: Callable[..., Any], values: Mapping[str, Any], where: str
 
 OF_TASKS = (make_task, make_situation)
 """Functions that take the arguments of tasks of all arms."""
-
-OF_CLASSES = {"self", "task"}
-"""Parameters of classes and of the ladder that are no arguments of environments."""
 
 
 def checked_region(given: Any) -> tuple[Components, Components]:
@@ -458,7 +441,7 @@ def usual_tilt(geometry: Geometry) -> float:
     """Compute the largest tilt of goals for an arm if `max_tilt_deg` is not given, deg.
 
     The tilt is the angle between the tool's axis and the vertical. The result is the smallest multiple of `USUAL_TILT`
-    below which at least a share `UPRIGHT` of the arm's poses lies.
+    below which at least a share `UPRIGHT` of `TILTED_POSES` sampled poses of the arm lies.
     """
     middle = (geometry.lower + geometry.upper) / 2.0
     joints = middle + (1.0 - 2.0 * GOAL_MARGIN) * (halton_joints(geometry, TILTED_POSES) - middle)
@@ -474,7 +457,10 @@ def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
 
 
 def check_number(name: str, value: float, *, positive: bool = False) -> None:
-    """Raise an `InputError` unless ``value`` is a number from 0 to `MOST_NUMBER`, and above zero if ``positive``."""
+    """Raise an `InputError` unless ``value`` is a number from 0 to `MOST_NUMBER`, and above zero if ``positive``.
+
+    The bound is for all numeric arguments of environments, whatever their unit.
+    """
     number: Any = value
     is_number = isinstance(number, Real) and not isinstance(number, bool)
     if not is_number or not 0 <= value <= MOST_NUMBER or (positive and value == 0):
@@ -578,7 +564,6 @@ ACTIONS = {"pose": 6, "position": 3}
 """Count of the numbers in an action, for each value of the argument `actions`."""
 
 PLACES = 2**10
-"""Number of sampled poses, from which the middle of the box of starts and goals is chosen."""
 
 
 def make_tool_task(
@@ -620,9 +605,9 @@ def free_box(
 ) -> tuple[Array, Array]:
     """Find a box of joints around a pose from which the tool moves well in every direction.
 
-    The middle of the box is one of `PLACES` upright poses from a Halton sequence. It is the pose where the smallest
-    singular value of the scaled Jacobian is largest. Directions in which the arm cannot move anywhere do not count. The
-    box lies inside the joint limits and inside a whole turn of each joint.
+    The middle of the box is one of the upright poses among `PLACES` poses from a Halton sequence. It is the pose where
+    the smallest singular value of the scaled Jacobian is largest. Directions in which the arm cannot move anywhere do
+    not count. The box lies inside the joint limits and inside a whole turn of each joint.
 
     Args:
         geometry: The arm.
