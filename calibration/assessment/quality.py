@@ -43,8 +43,7 @@ MANY_NOISES = 20.0
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
 ENOUGH, SEVERAL = 3, 10
-"""Smallest numbers of held-out rows: `ENOUGH` to judge a calibration, `SEVERAL` to accept a gain that only all rows
-together show."""
+"""Least numbers of held-out rows: to judge a calibration, and to accept a gain that only all rows together show."""
 
 Grade = Literal["good", "with care", "do not use"]
 

@@ -29,12 +29,9 @@ LEAST_ROWS = 20
 """Smallest number of single errors for a 95 % interval of their mean; with ten, it covers the mean in only 92 %."""
 
 MOST_APART = 0.4
-"""Largest spread between blocks for which an interval of the root mean square is given.
-
-The spread is the standard deviation of the logarithm of the blocks' root mean squares. Above this value one block
-outweighs the others, and an interval from ten blocks covers the root mean square in less than 93 %. For the errors that
-calibrations of measured robots leave, the spread is 0.03 to 0.23.
-"""
+"""Largest spread between blocks, as standard deviation of the logarithm of their root mean squares, for an interval of
+the root mean square. Above it one block outweighs the others, and an interval from ten blocks covers the root mean
+square in less than 93 %. For the errors that calibrations of measured robots leave, the spread is 0.03 to 0.23."""
 
 
 @dataclass(frozen=True)
@@ -144,11 +141,7 @@ NARROW = 10
 
 LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "plane_offset", "zero")
 NUMBERS_OF_KINDS = ("scale", "normal", "axis", "down")
-"""Name prefixes of directions and scales, unknowns without a unit.
-
-A kind of measurement adds such unknowns to the arm's parameters. `LENGTHS_OF_KINDS` has the prefixes of unknowns that
-are lengths.
-"""
+"""Prefixes of the unknowns that kinds of measurement add: lengths; directions and scales, which have no unit."""
 
 
 def figure(value: float | None) -> str:

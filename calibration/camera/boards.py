@@ -115,8 +115,7 @@ DICTIONARIES: Mapping[str, str] = {
 SHIPPED = Path(__file__).parent / "shipped_boards"
 
 PIXELS_PER_SQUARE = 120
-"""Pixels per square in a board's picture. The page is drawn from this picture without smoothing, so that edges keep
-their place."""
+"""Pixels per square in a board's picture, which the page shows without smoothing, so that edges keep their place."""
 
 
 def one_of(names: Iterable[str]) -> toml_tables.Check:
@@ -306,29 +305,20 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
 
 
 FEW_MARKERS = 4
-"""Largest number of markers, in a picture without corners, for the message that too little of the board is seen.
-
-If the picture shows more markers, or a marker that the board does not have, the message says that they are of another
-board.
-"""
+"""Largest number of markers, in a picture without corners, for the message that too little of the board is seen. With
+more markers, or one that the board does not have, the message says that they are of another board."""
 
 WINDOW = 5
 """Half width, px, of the square around a corner whose gradients determine the corner's uncertainty."""
 
 LEAST_STD = {"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3}
-"""Least standard uncertainty of a corner, px, by kind of board, however low the picture's noise is.
-
-Chessboard corners, where edges cross, are more accurate than the outer corners of tags, which blur shifts (both
-measured on rendered pictures).
-"""
+"""Least standard uncertainty of a corner, px, by kind of board. Chessboard corners, where edges cross, are more
+accurate than the outer corners of tags, which blur shifts (both measured on rendered pictures)."""
 
 
 Corners = tuple[Array, NDArray[np.bool_], Array]
-"""The corners of a board in one picture: pixels, mask and standard uncertainties.
-
-Pixels ``(K, 2)`` are 0 for a corner that was not found. The mask ``(K,)`` is True for corners that were found. The
-standard uncertainty of each coordinate ``(K,)`` is in px, 1 for a corner that was not found.
-"""
+"""The corners of a board in one picture: pixels ``(K, 2)``, 0 for a corner that was not found; a mask ``(K,)`` of the
+corners found; the standard uncertainty of each coordinate ``(K,)``, px, 1 for a corner that was not found."""
 
 
 def find_corners(board: Board, picture: Grey, where: str) -> Corners:

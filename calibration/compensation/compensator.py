@@ -54,19 +54,13 @@ from pickenv.calibration.identification.solve import FilterState, predict, rando
 # lines run on NumPy arrays and torch tensors.
 
 RIDGE = 16.0
-"""Value added to the diagonal of J^T J, so that a singular J^T J can be factorised.
-
-It is in multiples of the rounding error of the trace of J^T J.
-"""
+"""Value added to the diagonal of a singular J^T J to factorise it, in multiples of its trace's rounding error."""
 
 SETTLED = 1e-4
 """Largest rotation (1 - cosine) of the singular direction in the last inverse iteration that counts as converged."""
 
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
-"""Start vector of the inverse iteration for the singular direction.
-
-It is far from the directions that are likely to be singular in a symmetric arm.
-"""
+"""Start of the inverse iteration, far from the directions that are likely to be singular in a symmetric arm."""
 
 Columns = Sequence[Sequence[Scalar]]
 """The n columns of a Jacobian J, each with six components ``(...)``; components that are the float 0.0 cost nothing."""

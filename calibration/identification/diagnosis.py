@@ -127,8 +127,7 @@ ANOTHER_ARM = 5.0
 """A station whose median residual is more than this many times the others' median probably measured another arm."""
 
 SIDE, MOVED = 8, 2.5
-"""Least count of rows before and after a move of the instrument, and least ratio of two RMS errors: with one base, and
-with two."""
+"""Least count of rows on either side of a move, and least ratio of two RMS errors: with one base, and with two."""
 
 FEW = 4
 """Fewer held-out rows than this are listed one by one, and never taken for rows of another set-up."""

@@ -45,8 +45,7 @@ GOOD = 0.05
 """A fit whose error is below this share of the spread needs no further starts."""
 
 STARTS = 24
-"""If neither the closed form nor the nominal tool gives a good fit, the best ``STARTS / 4`` of ``8 * STARTS`` random
-tools are tried."""
+"""If closed form and nominal tool fit badly, the best ``STARTS / 4`` of ``8 * STARTS`` random tools are tried."""
 
 
 @single_threaded()
@@ -263,12 +262,10 @@ OUTLIER_SIGMA = 10.0
 """Rows whose error exceeds this many robust standard deviations are outliers; errors of the arm model stay below it."""
 
 WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
-"""Largest number of re-weighted least-squares fits, largest number of repeated alignments, and number of random sets of
-four poses."""
+"""Largest numbers of re-weighted fits and of repeated alignments, and number of random sets of four poses."""
 
 CAUCHY = 2.385
-"""Error, in standard deviations per coordinate, at which a row's weight is 0.5; the efficiency is 95 % for normal
-noise."""
+"""Error, in standard deviations per coordinate, at which a row weighs 0.5; 95 % efficiency for normal noise."""
 
 
 Sizes = tuple[Array, Array, Array]
@@ -426,8 +423,7 @@ ROBUST_ROWS = 2000
 """Largest number of rows of the robust fit, equally spaced; all rows are judged by this fit."""
 
 SPARE = 3
-"""Least ratio of equations to parameters at which the arm's geometry is fitted beside its frames, or its compliance
-beside its geometry."""
+"""Least ratio of equations to parameters to fit geometry beside frames, or compliance beside geometry."""
 
 
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
@@ -553,8 +549,7 @@ def _stations(arm: Arm, parts: Sequence[Observations], owners: Sequence[Mapping[
 
 
 SetUp = tuple[tuple[int, ...], tuple[str, ...]]
-"""Numbers, from 0, of the data sets that share one set-up, and names of the frames that differ from those of the first
-set-up."""
+"""Numbers, from 0, of the data sets of one set-up, and names of the frames that differ from the first set-up's."""
 
 
 def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked:

@@ -192,8 +192,7 @@ ROWS_EACH = 8
 """Number of rows needed for each harmonic."""
 
 WITHIN = 0.03
-"""Of all numbers of harmonics, the smallest one is taken whose error on the held-out blocks exceeds the least error by
-at most this share."""
+"""The fewest harmonics are taken whose error on held-out blocks exceeds the least error by at most this share."""
 
 ROUNDS = 3
 """Number of Gauss-Newton steps that refine the orders."""

@@ -53,15 +53,13 @@ USUAL = 0.75
 """Quantile of the neighbour counts that is taken as the usual count; a cluster of rows counts as one row in it."""
 
 FREE = 0.25
-"""Share of the rows that keep full weight when rows are weighed by their neighbour counts; a cluster counts as one
-row."""
+"""Share of the rows that keep full weight when rows are weighed by their neighbours; a cluster counts as one row."""
 
 WORTH = 3.0
 """Log-likelihood ratio above which neighbours count as having like errors."""
 
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
-"""Largest numbers of equally spaced rows: of rows for the fit of length and share, and of rows searched for
-neighbours."""
+"""Largest numbers of equally spaced rows, for the fit of length and share, and to search for neighbours."""
 
 LEAST_SPARE = 0.05
 """Least share of an equation that counts as a degree of freedom of the scatter, however large its leverage is."""
@@ -282,12 +280,10 @@ COEFFICIENT = 1.0
 """Prior standard deviation of a term's coefficient, as a multiple of its tolerance (1 mm or 1 mrad at the tool)."""
 
 ANY_STIFFNESS = 100.0
-"""Prior standard deviation of a compliance, as a multiple of its tolerance: every stiffness above 100 N*m/rad or 1 kN/m
-is plausible."""
+"""Prior standard deviation of a compliance, in tolerances: any stiffness above 100 N*m/rad or 1 kN/m is plausible."""
 
 FRAMES, ZEROS, LENGTHS, ANGLES, TERMS = "frames", "zeros", "lengths", "angles", "terms"
-"""Groups of parameters: base and tool of unknown pose, joint zeros, lengths and angles of parts, terms'
-coefficients."""
+"""Groups of parameters: base and tool if unknown, joint zeros, lengths and angles of parts, terms' coefficients."""
 
 MADE = (ZEROS, LENGTHS, ANGLES)
 """Groups whose prior widths come from a tolerance class; a factor on each group's widths is estimated from the rows."""

@@ -502,8 +502,7 @@ SAME_POSE = 2e-4
 reached again, or written with two decimals, differ by less."""
 
 PATH = 10 * SAME_POSE
-"""Extent of a chain of near rows, rad or m, above which the chain is a path that was followed slowly, and not a
-pose."""
+"""Extent of a chain of near rows, rad or m, above which it is a path that was followed slowly, and not a pose."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:

@@ -137,8 +137,7 @@ def by_values(values: Array, points: Array) -> Array:
 
 
 SLANT = 0.5
-"""Cosine of 60 deg, the largest angle between a line of sight and a board's normal at which its corners are
-detected."""
+"""Cosine of 60 deg, the largest angle between line of sight and board's normal at which corners are detected."""
 
 Mount = Literal["hand", "world"]
 """Place of the camera: "hand" on the arm's tool, or "world" fixed in the world, with the board on the tool."""

@@ -39,12 +39,10 @@ LEAST_SEEN = 0.5
 """Least share of a board's corners that must be in the picture at a candidate."""
 
 WARY = 3.0
-"""Margin of the picture in which no predicted corner counts as seen, as a multiple of the first views' RMS pixel
-error."""
+"""Margin of the picture, in RMS pixel errors of the first views, in which no predicted corner counts as seen."""
 
 FOCUS = 1.5
-"""Largest factor by which a board may be farther off than in the farthest first view, or nearer than in the nearest
-first view."""
+"""Largest factor by which a board may be farther off, or nearer, than in any of the first views."""
 
 
 First = tuple[Observations, ArmModel, Array]

@@ -32,8 +32,7 @@ from pickenv.calibration.model.noise_and_priors import FRAMES, PriorModel
 # at once.
 
 RIDGE = 1e-9
-"""Information that is added in every direction of the parameters, so that inverses exist, as a share of the mean
-information of a candidate."""
+"""Information added in every direction so that inverses exist, as a share of a candidate's mean information."""
 
 MAX_PASSES = 20
 """Largest number of rounds of exchange through the chosen poses; three to six are usual."""
@@ -76,14 +75,14 @@ def exchange(
         passes, changing = passes + 1, False
         for place in rng.permutation(count):
             old = places[place]
+            taken[old] = False
             without = information - rows[old].T @ rows[old]
             value = np.where(taken, -np.inf, gains(rows, without, weight))
-            value[old] = gains(rows[[old]], without, weight)[0]
             best = int(np.argmax(value))
             if value[best] > value[old] + 1e-9 * abs(value[old]):
                 places[place], changing = best, True
-                taken[old], taken[best] = False, True
                 information = without + rows[best].T @ rows[best]
+            taken[places[place]] = True
     return np.array(places), passes
 
 
@@ -155,11 +154,10 @@ def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
 
     Poses are indices from 0; ``cost`` holds the times between each two poses ``(N, N)``, s.
     """
-    ahead = np.ones(len(cost), dtype=bool)
-    way = [start]
+    cost, way = cost.copy(), [start]
     for _ in range(1, len(cost)):
-        ahead[way[-1]] = False
-        way.append(int(np.argmin(np.where(ahead, cost[way[-1]], np.inf))))
+        cost[:, way[-1]] = np.inf
+        way.append(int(np.argmin(cost[way[-1]])))
     return np.array(way)
 
 
@@ -293,12 +291,10 @@ class PosePlan:
         plain = ("criterion", "where", "travel_seconds", "random_travel_seconds", "passes", "seconds")
         figures |= {name: getattr(self, name) for name in plain}
         if self.model is not None:
-            figures |= {"arm": self.arm, "model": self.model}
-            for key in ("condition", "random_condition", "o1_ratio"):
-                figures[key] = None if self.arm is None else self.arm[key]
-        if self.predicted_error is not None and self.random_predicted_error is not None:
-            figures["predicted_error_mm"] = self.predicted_error * 1e3
-            figures["random_predicted_error_mm"] = self.random_predicted_error * 1e3
+            copied = ("condition", "random_condition", "o1_ratio")
+            figures |= {"arm": self.arm, "model": self.model} | {key: self.arm and self.arm[key] for key in copied}
+        errors = {name: getattr(self, name) for name in ("predicted_error", "random_predicted_error")}
+        figures |= {f"{name}_mm": value * 1e3 for name, value in errors.items() if value is not None}
         if self.lines is not None:
             figures["lines"] = self.lines.tolist()
         if self.curve:
@@ -360,8 +356,8 @@ def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator) -
     joints = rng.uniform(lower, upper, (count, geometry.joints))
     side = rng.random(joints.shape)
     at_border = (np.arange(count) >= count // 2)[:, None]
-    joints = np.where(at_border & (side < AT_LIMIT / 2), lower, joints)
-    return np.asarray(np.where(at_border & (side > 1 - AT_LIMIT / 2), upper, joints))
+    ends = [at_border & (side < AT_LIMIT / 2), at_border & (side > 1 - AT_LIMIT / 2)]
+    return np.select(ends, [lower, upper], joints)
 
 
 def design_of(
@@ -547,8 +543,7 @@ def finished_plan(
     joints, aim = design.joints, goal if criterion == "test-poses" else None
     places, passes = exchange(design.rows, count, rng, aim, known=design.known)
 
-    def error(rows: Array) -> float:
-        return predicted_error(rows, goal, design.known)
+    error = partial(predicted_error, weight=goal, known=design.known)
 
     def chance(size: int) -> float:
         return float(np.median([error(rows_at(poses)) for poses in drawn(size)]))
@@ -558,13 +553,9 @@ def finished_plan(
         places, passes = exchange(design.rows, count, rng, goal, known=design.known)
     places = places[short_tour(joints[places], arm.speed)]
     shuffled = [travel_seconds(joints[rng.permutation(places)], arm.speed) for _ in range(DRAWS)]
-    points: list[tuple[int, float, float]] = []
-    if len(sizes):
-        # Poses added one after the other: the first of a larger set are a smaller one.
-        added, _ = exchange(design.rows, sizes[-1], rng, aim, most_passes=0, known=design.known)
-        for size in sizes:
-            rows = design.rows[places if size == count else added[:size]]
-            points.append((size, error(rows), chance(size)))
+    # Poses added one after the other: the first of a larger set are a smaller one.
+    added = exchange(design.rows, sizes[-1], rng, aim, most_passes=0, known=design.known)[0] if sizes else places
+    planned = {size: design.rows[places if size == count else added[:size]] for size in sizes}
     return PosePlan(
         joints=joints[places],
         chosen=places,
@@ -576,7 +567,7 @@ def finished_plan(
         random_predicted_error=by_chance,
         where=where,
         passes=passes,
-        curve=tuple(points),
+        curve=tuple((size, error(rows), chance(size)) for size, rows in planned.items()),
     )
 
 
@@ -588,8 +579,7 @@ def _observed(design: Design, rows: Array) -> dict[str, float]:
         rows: Weighted, scaled Jacobians of the poses ``(M, r, p)``.
     """
     stacked = np.vstack([rows.reshape(-1, rows.shape[-1]), np.sqrt(design.known)])
-    values = np.linalg.svd(stacked, compute_uv=False)
-    return observability(np.asarray(values, dtype=float), len(rows))
+    return observability(np.linalg.svd(stacked, compute_uv=False), len(rows))
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> dict[str, Any]:

@@ -25,8 +25,7 @@ from pickenv.base import InputError, register, single_threaded
 # What all regressors of residuals share: what is asked of them, arrays by name for saving, and standardising.
 
 CONSTANT = 1e-9
-"""A column that varies by less than this share of its largest absolute value counts as constant; the variation is
-rounding."""
+"""A column that varies by less than this share of its largest absolute value is constant but for rounding."""
 
 
 class Regressor(Protocol):
@@ -196,17 +195,14 @@ PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
 amplitude; in the second, a twentieth."""
 
 DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
-"""Bounds between which amplitude, each input's length scale and the noise are drawn for further starts of the search.
-
-From shorter length scales, a search ends with noise alone. From longer ones, it ends with ignored inputs.
-"""
+"""Bounds of amplitude, each input's length scale and noise for drawn starts of the search. From shorter length scales,
+a search ends with noise alone; from longer ones, with ignored inputs."""
 
 JITTER = 1e-10
 """Variance added to the noise's variance, so that a kernel matrix can be factorised."""
 
 COARSE, FINE = 1e-5, 1e-7
-"""A search ends when a step improves the log likelihood by less than this share: in the first searches, and in the
-final ones."""
+"""Least share by which a step must improve the log likelihood to go on, in the first and in the final searches."""
 
 
 START_ROWS, ITERATIONS = 200, 100

@@ -201,12 +201,10 @@ AUTO = ("bpnn", "rbf", "gp")
 """Models that are tried by default. The list is fixed, so that other installed packages do not change the results."""
 
 SLOW = ("bpnn",)
-"""Models that take seconds to fit. They are tried last. If other models are tried, they are tried only if one of the
-others gains on the held-out blocks."""
+"""Models that take seconds to fit, tried last, and beside others only if one of them gains on the held-out blocks."""
 
 Refit = Callable[[Measurements], Geometry | ArmModel]
-"""Function that identifies the arm from training rows alone. It returns a fixed arm if the arm was identified from
-other data."""
+"""Function that identifies the arm from training rows alone, or returns an arm identified from other data."""
 
 
 @dataclass(frozen=True)
