@@ -64,13 +64,12 @@ def write_lens(lens: Lens, path: str | Path) -> Path:
     """Write a lens as ROS camera_info YAML with all digits; the file is written whole or not at all."""
     import yaml
 
-    fx, fy, cx, cy, *distortion = (float(value) for value in lens.values)
+    fx, fy, cx, cy, *distortion = lens.values.tolist()
     matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    width, height = lens.size
     projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     content: dict[str, Any] = {
-        "image_width": width,
-        "image_height": height,
+        "image_width": lens.size[0],
+        "image_height": lens.size[1],
         "camera_name": lens.name,
         "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
         "distortion_model": "plumb_bob",
@@ -177,14 +176,10 @@ class Board:
     @property
     def corners(self) -> Array:
         """Positions ``(K, 3)``, m, of the squares' inner corners row by row, or of each tag's corners clockwise."""
-        if self.kind != "apriltags":
-            x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
-            return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
-        assert self.gap is not None
-        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        first = (self.square + self.gap) * np.stack([x.ravel(), y.ravel()], axis=1)
-        tag = self.square * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-        flat = (first[:, None] + tag).reshape(-1, 2)
+        first, around = (0, [[0, 0], [1, 0], [1, 1], [0, 1]]) if self.kind == "apriltags" else (1, [[0, 0]])
+        x, y = np.meshgrid(np.arange(first, self.columns), np.arange(first, self.rows))
+        places = (self.square + (self.gap or 0.0)) * np.stack([x.ravel(), y.ravel()], axis=1)
+        flat = (places[:, None] + self.square * np.array(around)).reshape(-1, 2)
         return np.column_stack([flat, np.zeros(len(flat))])
 
     @property
@@ -198,8 +193,8 @@ class Board:
     @property
     def size(self) -> tuple[float, float]:
         """Width and height of the printed board, m, without a margin."""
-        step = self.square + (self.gap or 0.0)
-        return self.columns * step - (self.gap or 0.0), self.rows * step - (self.gap or 0.0)
+        gap = self.gap or 0.0
+        return self.columns * (self.square + gap) - gap, self.rows * (self.square + gap) - gap
 
 
 def load_board(name: str | Path) -> Board:
@@ -253,8 +248,8 @@ def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> G
     scale = pixels_per_square / board.square
     width, height = (round(side * scale) for side in board.size)
     if board.kind == "chessboard":
-        x, y = np.meshgrid(np.arange(width), np.arange(height))
-        return np.where((x // pixels_per_square + y // pixels_per_square) % 2 == 0, 0, 255).astype(np.uint8)
+        squares = np.indices((height, width)) // pixels_per_square
+        return (squares.sum(axis=0) % 2 * 255).astype(np.uint8)
     picture = opencv_board(board).generateImage((width, height), marginSize=0, borderBits=1)
     return np.asarray(picture, dtype=np.uint8)
 
@@ -281,8 +276,8 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
         raise InputError(f"cannot write {path}: give a file name that ends in .pdf or .svg, which keep the scale")
     inch, below = 0.0254, 0.012
     width, height = board.size
-    page = (width + 2 * margin, height + 2 * margin + below)
-    figure = Figure(figsize=(page[0] / inch, page[1] / inch))
+    page = np.array([width + 2 * margin, height + 2 * margin + below])
+    figure = Figure(figsize=page / inch)
     canvas(figure)
     axes = figure.add_axes((margin / page[0], (margin + below) / page[1], width / page[0], height / page[1]))
     axes.imshow(board_picture(board), cmap="gray", interpolation="none", aspect="auto")
@@ -355,8 +350,7 @@ def find_tags(dictionary: str, numbers: Sequence[int], picture: Grey, where: str
     if not of_body.any():
         tags = listed(map(str, np.unique(seen // 4))) if len(seen) else "none"
         raise InputError(f"{where}: no tag of the target was found; of {dictionary} it shows {tags}; check [target]")
-    index_of = {number: i for i, number in enumerate(numbers)}
-    rows, places = [index_of[int(number)] for number in seen[of_body]], places[of_body]
+    rows, places = [numbers.index(number) for number in seen[of_body]], places[of_body]
     return corners_at(len(numbers), rows, places, corner_std(picture, places, LEAST_STD["apriltags"]))
 
 
@@ -388,13 +382,12 @@ def corner_std(picture: Grey, corners: Array, least: float) -> Array:
     """
     grey = picture.astype(float)
     down, across = np.gradient(grey)
-    noise = picture_noise(grey)
-    stds = np.empty(len(corners))
-    for i, (x, y) in enumerate(np.rint(corners).astype(int)):
+    sharpness = []
+    for x, y in np.rint(corners).astype(int):
         window = tuple(slice(max(i - WINDOW, 0), i + WINDOW + 1) for i in (y, x))
         g = np.stack([across[window].ravel(), down[window].ravel()])
-        stds[i] = noise / np.sqrt(max(float(np.linalg.eigvalsh(g @ g.T)[0]), 1e-9))
-    return np.hypot(stds, least)
+        sharpness.append(max(float(np.linalg.eigvalsh(g @ g.T)[0]), 1e-9))
+    return np.hypot(picture_noise(grey) / np.sqrt(sharpness), least)
 
 
 def picture_noise(grey: Array) -> float:

@@ -22,7 +22,7 @@ from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_mod
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise_and_priors import counted
-from pickenv.calibration.model.observations import Observations, equally_spaced, nearest_rotation, origins_of
+from pickenv.calibration.model.observations import Observations, nearest_rotation, origins_of
 from pickenv.calibration.model.terms import weight_of
 
 # Base and tool pose from anywhere: closed-form starts, then least squares, and the refusal of what is no such arm.
@@ -242,7 +242,7 @@ def _other_reading(arm: Geometry, data: Measurements, known: bool) -> tuple[floa
     A reading counts a joint backwards, exchanges two joints, or mirrors the positions. If ``known`` is False, each
     reading is judged with a rough base and tool that are computed for it.
     """
-    data, names = data.select(equally_spaced(len(data), FILE_ROWS)), arm.joint_names
+    data, names = data.at_most(FILE_ROWS), arm.joint_names
     readings = {f"{name} counted backwards": data.joints * (1.0 - 2.0 * (np.array(names) == name)) for name in names}
     for i, k in combinations(range(arm.joints), 2):
         if arm.prismatic[i] == arm.prismatic[k]:
@@ -480,7 +480,7 @@ def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Ident
     Raises:
         InputError: If there are too few rows, or no majority agrees.
     """
-    data = data.select(equally_spaced(len(data.joints), ROBUST_ROWS))
+    data = data.at_most(ROBUST_ROWS)
     start = ArmModel.of(arm.nominal if known else robust_frames(arm, data))
     model = fitted_model(arm.name, arm.nominal, known)
     if arm.load is not None:
@@ -598,7 +598,7 @@ def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | 
 
     The result is None if there are too few rows, or if they do not fit the arm.
     """
-    part = part.select(equally_spaced(len(part), FILE_ROWS))
+    part = part.at_most(FILE_ROWS)
     if len(part) < LEAST_ROWS:
         return None
     try:
@@ -644,32 +644,26 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], grou
     Each file has a separate scatter. The result is infinite if the fit fails. ``near`` holds each file's rows and arm
     from `_near_rows`, by the file's index from 0; ``groups`` are the set-ups.
     """
-    sets, stations = [], []
+    stations = []
     for number, (members, own) in enumerate(groups, start=1):
         rows = rows_together([near[i][0] for i in members])
-        sets.append(rows.select(equally_spaced(len(rows), SET_UP_ROWS)))
-        start = near[members[0]][1]
-        frames = {name: getattr(start, name) for name in own}
-        stations.append(InstrumentStation(sets[-1], number, **frames))
+        frames = {name: getattr(near[members[0]][1], name) for name in own}
+        stations.append(InstrumentStation(rows.at_most(SET_UP_ROWS), number, **frames))
     data = Stacked(tuple(stations))
-    equations = sum(len(rows) * rows.rows_per_pose for rows in sets)
+    row_of_each, _ = data.equations()
     model = fitted_model(arm.name, arm.nominal, False)
-    if equations < SPARE * (len(model.names) + len(data.unknowns())):
+    if len(row_of_each) < SPARE * (len(model.names) + len(data.unknowns())):
         model = frames_model(arm.nominal)
     try:
         fit = identify(model, ArmModel.of(near[groups[0][0][0]][1]), [data], max_iterations=TRIES)
     except InputError:
         return np.inf
-    owners = np.concatenate([origins_of(rows).file + 1000 * k for k, rows in enumerate(sets)])
     squares = data.residual(fit.arm_model, unknowns_of(fit, data)) ** 2
-    files = owners[data.equations()[0]]
-    total, spare = 0.0, equations / max(fit.degrees_of_freedom, 1)
-    counted = 0
-    for owner in np.unique(owners):
-        count = 3 * min(int(np.count_nonzero(owners == owner)), COUNTED_ROWS)
-        total += count * float(np.log(np.mean(squares[files == owner]) * spare))
-        counted += count
-    return total + float(np.log(counted)) * 6 * sum(len(own) for _, own in groups)
+    files, spare = data.origins.file, len(row_of_each) / max(fit.degrees_of_freedom, 1)
+    counts = {file: 3 * min(np.count_nonzero(files == file), COUNTED_ROWS) for file in np.unique(files).tolist()}
+    means = {file: np.mean(squares[files[row_of_each] == file]) * spare for file in counts}
+    total = sum(count * float(np.log(means[file])) for file, count in counts.items())
+    return total + float(np.log(sum(counts.values()))) * 6 * sum(len(own) for _, own in groups)
 
 
 def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacked:
@@ -680,10 +674,7 @@ def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacke
         stations: Stations whose rows determine their frames.
         parts: The rows of each further file.
     """
-    references = [
-        replace(station, data=station.data.select(equally_spaced(len(station.data.joints), FILE_ROWS)))
-        for station in stations.stations
-    ]
+    references = [replace(station, data=station.data.at_most(FILE_ROWS)) for station in stations.stations]
     data = Stacked(tuple(references))
     model = fitted_model(arm.name, arm.nominal, False)
     fit = identify(model, ArmModel.of(robust_frames(arm, references[0].data)), [data], max_iterations=60)

@@ -30,7 +30,7 @@ from pickenv.calibration.identification.least_squares import (
 )
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.noise_and_priors import LENGTHS, MADE, PriorModel, RowNoise, noise_of, stated_noise
-from pickenv.calibration.model.observations import Observations, equally_spaced
+from pickenv.calibration.model.observations import Observations
 
 PASSES = 4
 """Largest number of successive solutions; each weighs rows and priors by the residuals of the previous solution."""
@@ -86,7 +86,7 @@ def solve(
         weights, start = noise or near.noise, replace(start, geometry=near.geometry)
     scales = dict(model.scales)
     if noise is None and len(data.joints) > MANY and not data.unknowns():
-        few = solve(model, data.select(equally_spaced(len(data.joints), FEW)), near=near)
+        few = solve(model, data.at_most(FEW), near=near)
         assert few.prior is not None
         start, scales = few.arm_model, dict(few.prior.scales)
         weights = noise_of(data, start, np.zeros(0), np.zeros(len(data.equations()[0])))

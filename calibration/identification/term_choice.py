@@ -21,7 +21,7 @@ from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.noise_and_priors import counted, expected_sizes, prior_model
-from pickenv.calibration.model.observations import Observations, contiguous_folds, equally_spaced, same_poses
+from pickenv.calibration.model.observations import Observations, contiguous_folds, same_poses
 from pickenv.calibration.model.terms import OrderTerm, PeriodicTerm, ThermalTerm, bending_of, weight_of
 
 # Least squares on contiguous blocks of rows at once: normal equations of all columns that may take part, by block.
@@ -511,7 +511,7 @@ class _Trial:
     @staticmethod
     def of(arm: Arm, bare: Identification, observations: Observations, names: tuple[str, ...] | None = None) -> _Trial:
         """Return a trial of the terms ``names``, some of `NAMES`; if None, of all terms that arm and data allow."""
-        data = observations.select(equally_spaced(len(observations.joints), ROWS))
+        data = observations.at_most(ROWS)
         if names is None:
             missing = {
                 "bending": arm.load is None,

@@ -438,6 +438,10 @@ class Observations:
         changed = {"joints": self.joints[rows], "conditions": self.conditions.select(rows), "origins": origins}
         return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
 
+    def at_most(self, rows: int) -> Self:
+        """Return the data set of at most this number of rows, equally spaced."""
+        return self.select(equally_spaced(len(self.joints), rows))
+
     def imagined(self, joints: Array) -> Self:
         """Return a data set of the same instrument at other joints ``(M, n)``, rad or m.
 
