@@ -249,7 +249,7 @@ def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> G
     width, height = (round(side * scale) for side in board.size)
     if board.kind == "chessboard":
         squares = np.indices((height, width)) // pixels_per_square
-        return (squares.sum(axis=0) % 2 * 255).astype(np.uint8)
+        return np.asarray(squares.sum(axis=0) % 2 * 255, dtype=np.uint8)
     picture = opencv_board(board).generateImage((width, height), marginSize=0, borderBits=1)
     return np.asarray(picture, dtype=np.uint8)
 
@@ -276,8 +276,8 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
         raise InputError(f"cannot write {path}: give a file name that ends in .pdf or .svg, which keep the scale")
     inch, below = 0.0254, 0.012
     width, height = board.size
-    page = np.array([width + 2 * margin, height + 2 * margin + below])
-    figure = Figure(figsize=page / inch)
+    page = (width + 2 * margin, height + 2 * margin + below)
+    figure = Figure(figsize=(page[0] / inch, page[1] / inch))
     canvas(figure)
     axes = figure.add_axes((margin / page[0], (margin + below) / page[1], width / page[0], height / page[1]))
     axes.imshow(board_picture(board), cmap="gray", interpolation="none", aspect="auto")

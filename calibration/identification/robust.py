@@ -660,7 +660,7 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], grou
         return np.inf
     squares = data.residual(fit.arm_model, unknowns_of(fit, data)) ** 2
     files, spare = data.origins.file, len(row_of_each) / max(fit.degrees_of_freedom, 1)
-    counts = {file: 3 * min(np.count_nonzero(files == file), COUNTED_ROWS) for file in np.unique(files).tolist()}
+    counts = {file: 3 * min(int(np.sum(files == file)), COUNTED_ROWS) for file in np.unique(files).tolist()}
     means = {file: np.mean(squares[files[row_of_each] == file]) * spare for file in counts}
     total = sum(count * float(np.log(means[file])) for file, count in counts.items())
     return total + float(np.log(sum(counts.values()))) * 6 * sum(len(own) for _, own in groups)

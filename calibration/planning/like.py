@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -252,8 +251,7 @@ def plan_like(
         design,
         count,
         rng,
-        drawn=cache(lambda size: np.stack([rng.choice(len(joints), size, replace=False) for _ in range(plan.DRAWS)])),
-        rows_at=design.rows.__getitem__,
+        random_rows=lambda size: (design.rows[rng.choice(len(joints), size, False)] for _ in range(plan.DRAWS)),
         criterion=criterion,
         goal=plan.error_weight(model.geometry, design, joints if test_joints is None else test_joints),
         where="at the candidates" if test_joints is None else "at the test poses",

@@ -9,7 +9,7 @@ is then the error that a calibration will state. SI units.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from operator import itemgetter
@@ -361,11 +361,7 @@ def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator) -
 
 
 def design_of(
-    geometry: Geometry,
-    model: ErrorModel | PriorModel,
-    joints: Array,
-    kind: str = "pose",
-    position_std: float = POSITION_STD,
+    geometry: Geometry, model: ErrorModel | PriorModel, joints: Array, kind: str, position_std: float = POSITION_STD
 ) -> Design:
     """Return the design of the candidates, for all parameters if these have priors, else for an identifiable base set.
 
@@ -491,8 +487,7 @@ def plan_poses(
         design,
         count,
         rng,
-        drawn=drawn,
-        rows_at=lambda joints: _rows(geometry, design.model, design.weight, joints),
+        random_rows=lambda size: (_rows(geometry, design.model, design.weight, joints) for joints in drawn(size)),
         criterion=criterion,
         goal=error_weight(geometry, design, field),
         where="over the joint ranges" if test_joints is None else "at the test poses",
@@ -515,8 +510,7 @@ def finished_plan(
     count: int,
     rng: np.random.Generator,
     *,
-    drawn: Callable[[int], Array],
-    rows_at: Callable[[Array], Array],
+    random_rows: Callable[[int], Iterable[Array]],
     criterion: str,
     goal: Array,
     where: str,
@@ -532,9 +526,8 @@ def finished_plan(
         design: The candidates.
         count: Number of poses to measure.
         rng: Draws the order of exchanges, and the random orders that the travel time is compared with.
-        drawn: Function that returns `DRAWS` random sets of a given number of poses, as joints or as indices of
-            candidates. It returns the same sets if it is called again.
-        rows_at: Function that returns the Jacobians ``(size, r, p)`` of the poses of one such set.
+        random_rows: Function that draws `DRAWS` random sets of a given number of poses, and returns the Jacobians
+            ``(size, r, p)`` of each set.
         criterion: See `plan_poses`.
         goal: The matrix W ``(p, p)`` of `error_weight`.
         where: The poses at which the error is predicted, in words.
@@ -545,8 +538,9 @@ def finished_plan(
 
     error = partial(predicted_error, weight=goal, known=design.known)
 
+    @cache
     def chance(size: int) -> float:
-        return float(np.median([error(rows_at(poses)) for poses in drawn(size)]))
+        return float(np.median([error(rows) for rows in random_rows(size)]))
 
     by_chance = chance(count)
     if design.known.any() and error(design.rows[places]) > by_chance:  # much information, but not about the workspace

@@ -280,8 +280,7 @@ class GaussianProcess(SavedArrays):
         inputs = np.asarray(inputs, dtype=float)
         flat = inputs.reshape(-1, inputs.shape[-1])
         mean = np.empty((len(flat), len(self.amplitude)))
-        for start in range(0, len(flat), CHUNK):
-            part = slice(start, start + CHUNK)
+        for part in (slice(start, start + CHUNK) for start in range(0, len(flat), CHUNK)):
             for j, weights in enumerate(self.weights):
                 mean[part, j] = self._kernel(j, flat[part]) @ weights
         return np.reshape(mean * self.output_std + self.output_mean, (*inputs.shape[:-1], mean.shape[1]))
@@ -305,16 +304,15 @@ def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: 
     count = np.array([1, inputs.shape[1], 1])
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
     low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
-    random_starts = rng.uniform(low, high, (drawn, len(low)))
-    starts = [*plain, *random_starts]
+    starts = [*plain, *rng.uniform(low, high, (drawn, len(low)))]
     some = np.linspace(0, len(inputs) - 1, min(len(inputs), START_ROWS)).astype(int)
     optima = sorted((_search(start, inputs[some], target[some], COARSE) for start in starts), key=itemgetter(1))
     finalists = [optimum for optimum, _ in optima[:2]]
     if len(some) < len(inputs):
         finalists.append(plain[0])  # where some rows show noise alone, all may show more
     best, _ = min((_search(start, inputs, target, FINE) for start in finalists), key=itemgetter(1))
-    best = np.exp(best)
-    return float(best[0]), np.asarray(best[1:-1]), float(best[-1])
+    amplitude, *length, noise = np.exp(best).tolist()
+    return amplitude, np.array(length), noise
 
 
 def _search(start: Array, inputs: Array, target: Array, precision: float) -> tuple[Array, float]:
@@ -380,8 +378,7 @@ def _kernel(left: Array, right: Array, length: Array, amplitude: float) -> Array
     kernel = a @ b.T
     kernel -= 0.5 * np.sum(a**2, axis=1)[:, None]
     kernel -= 0.5 * np.sum(b**2, axis=1)
-    np.minimum(kernel, 0.0, out=kernel)
-    np.exp(kernel, out=kernel)
+    np.exp(np.minimum(kernel, 0.0, out=kernel), out=kernel)
     kernel *= amplitude**2
     return np.asarray(kernel)
 
@@ -409,7 +406,7 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
     points = qmc.Sobol(process.rows.shape[1], rng=rng).random(count)
     normal = norm.ppf(np.clip(points, 1e-9, 1.0 - 1e-9))
     parts = [_of_output(process, output, normal) for output in range(len(process.noise))]
-    frequency, mean, factor = (np.stack(arrays) for arrays in zip(*parts, strict=True))
+    frequency, mean, factor = map(np.stack, zip(*parts, strict=True))
     return frequency, mean, factor
 
 
