@@ -82,7 +82,6 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
     if errors.size == 0 or not np.isfinite(errors).all():
         raise ValueError("error statistics need at least one error, all finite")
     norms = np.abs(errors) if errors.ndim == 1 else np.linalg.norm(errors, axis=1)
-    axis = () if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0)))
     ends = mean_interval(norms, LEAST_ROWS) if blocks is None else block_interval(norms, blocks)
     return ErrorStatistics(
         mean=float(norms.mean()),
@@ -92,7 +91,7 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
         std=float(norms.std()),
         p95=float(np.percentile(norms, 95)),
         max=float(norms.max()),
-        axis_rms=axis,
+        axis_rms=() if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0))),
         count=len(norms),
     )
 

@@ -65,17 +65,15 @@ def write_lens(lens: Lens, path: str | Path) -> Path:
     import yaml
 
     fx, fy, cx, cy, *distortion = lens.values.tolist()
-    matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     content: dict[str, Any] = {
         "image_width": lens.size[0],
         "image_height": lens.size[1],
         "camera_name": lens.name,
-        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
+        "camera_matrix": {"rows": 3, "cols": 3, "data": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]},
         "distortion_model": "plumb_bob",
         "distortion_coefficients": {"rows": 1, "cols": COEFFICIENTS, "data": distortion},
         "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel().tolist()},
-        "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
+        "projection_matrix": {"rows": 3, "cols": 4, "data": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]},
     }
     return write_text(Path(path), yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
 
@@ -245,8 +243,7 @@ def opencv_board(board: Board) -> Any:
 
 def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> Grey:
     """Return a picture of the printed board without a margin: grey values ``(h, w)``, black 0 and white 255."""
-    scale = pixels_per_square / board.square
-    width, height = (round(side * scale) for side in board.size)
+    width, height = (round(side * (pixels_per_square / board.square)) for side in board.size)
     if board.kind == "chessboard":
         squares = np.indices((height, width)) // pixels_per_square
         return np.asarray(squares.sum(axis=0) % 2 * 255, dtype=np.uint8)

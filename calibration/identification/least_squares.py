@@ -106,9 +106,8 @@ class Identification:
     @property
     def prior_std(self) -> Array:
         """Prior standard deviation of every parameter, in the order of ``identifiability.names``; infinite if none."""
-        names = self.identifiability.names
         width = {} if self.prior is None else dict(zip(self.prior.parameters.names, self.prior.width, strict=True))
-        return np.array([width.get(name, np.inf) for name in names])
+        return np.array([width.get(name, np.inf) for name in self.identifiability.names])
 
     @property
     def narrowed(self) -> Array:
@@ -413,8 +412,7 @@ def _enough_poses(
     ``rank`` is the number of parameters that the data identify at their own poses, ``rows`` the number of equations,
     and ``unknowns`` the values of each data set's own unknowns.
     """
-    parameters = len(model.names) + sum(len(values) for values in unknowns)
-    if rows >= 2 * parameters:
+    if rows >= 2 * (len(model.names) + sum(len(values) for values in unknowns)):
         return  # whatever the rank elsewhere, there are enough
     part, full = sets[0], rank
     if len(sets) == 1 and not part.stations:  # stations cannot be asked at other poses
@@ -422,8 +420,7 @@ def _enough_poses(
         links = model.some(model.columns < len(arm.geometry.parameter_names))
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
         matrix, names = _jacobian(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
-        elsewhere = identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance)
-        full = max(full, elsewhere.rank)
+        full = max(full, identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance).rank)
     if rows <= full or (part.kind in ("pose", "position") and rank < full and rows < 2 * full):
         poses = sum(len(part.joints) for part in sets)
         needed = -int(-2 * full // (rows / poses))

@@ -94,9 +94,8 @@ def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry
         return sorted(starts, key=lambda start: sum(misfit(start, measurements)))
 
     yield from ranked([geometry.tool, _closed_form_tool(chain, measurements, geometry.tool)])
-    rng = np.random.default_rng(0)
     reach = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-3)
-    draws = rng.normal(size=(STARTS * 8, 2, 3))
+    draws = np.random.default_rng(0).normal(size=(STARTS * 8, 2, 3))
     yield from ranked(Pose(place * reach, rotation_matrix(turn * 2.0)) for place, turn in draws)[: STARTS // 4]
 
 
@@ -132,8 +131,7 @@ def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measur
         turn, _ = laid_onto(nominal, measured)
     else:
         turn = nearest_rotation(np.einsum("nij,nkj->ik", measurements.rotation, chain.rotation @ tool.rotation))
-    base = Pose(measured.mean(0) - turn @ nominal.mean(0), turn)
-    return replace(geometry, base=base, tool=tool)
+    return replace(geometry, base=Pose(measured.mean(0) - turn @ nominal.mean(0), turn), tool=tool)
 
 
 def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) -> Pose:
@@ -148,8 +146,7 @@ def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) ->
         return Pose(_offset_from_positions(chain, measurements.position), nominal.rotation)
     turn, tool_turn = _turns_from_attitudes(chain.rotation, measurements.rotation)
     # p = t + R o + R Q u is linear in t and u.
-    count = len(measurements)
-    matrix = np.concatenate([np.broadcast_to(np.eye(3), (count, 3, 3)), turn @ chain.rotation], axis=2)
+    matrix = np.concatenate([np.broadcast_to(np.eye(3), (len(measurements), 3, 3)), turn @ chain.rotation], axis=2)
     right = measurements.position - chain.position @ turn.T
     solution = np.linalg.lstsq(matrix.reshape(-1, 6), right.ravel(), rcond=1e-9)[0]
     return Pose(solution[3:], tool_turn)
@@ -163,8 +160,7 @@ def _offset_from_positions(chain: Pose, position: Array) -> Array:
     """
     count, middle = len(position), position.mean(axis=0)
     by_rotation = np.einsum("ik,nj->nikj", np.eye(3), position - middle).reshape(count, 3, 9)
-    by_shift = np.broadcast_to(-np.eye(3), (count, 3, 3))
-    matrix = np.concatenate([by_rotation, by_shift, -chain.rotation], axis=2)
+    matrix = np.concatenate([by_rotation, np.broadcast_to(-np.eye(3), (count, 3, 3)), -chain.rotation], axis=2)
     solution = np.linalg.lstsq(matrix.reshape(-1, 15), chain.position.ravel(), rcond=1e-6)[0]
     return np.asarray(solution[12:])
 
@@ -178,8 +174,7 @@ def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
     """
     # Row-major vec: vec(A X) = (A kron 1) vec X, vec(Y B) = (1 kron B^T) vec Y. Of rotations the normal equations are
     # [[N, -S], [-S^T, N]] with the sum S of A^T kron B^T, so that the null vector is S's first pair of singular ones.
-    across = np.einsum("nji,nlk->ikjl", measured, chain)
-    u, _, vt = np.linalg.svd(across.reshape(9, 9))
+    u, _, vt = np.linalg.svd(np.einsum("nji,nlk->ikjl", measured, chain).reshape(9, 9))
     first, second = u[:, 0].reshape(3, 3), vt[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(second)) or 1.0
     return nearest_rotation(second * sign), nearest_rotation(first * sign).T
@@ -218,8 +213,7 @@ def refuse_another_arm(
             raise InputError(f"{measurements.source}: {state} the arm fits {times} better with {reading}")
     if position * spread > MISFIT * max(spread, SPAN):
         whole = ArmModel.of(nominal or geometry).pose(measurements.joints, measurements.conditions)
-        reach = float(np.linalg.norm(whole.position.std(axis=0)))
-        ratio = spread / max(reach, 1e-12)
+        ratio = spread / max(float(np.linalg.norm(whole.position.std(axis=0))), 1e-12)
         if not 0.05 < ratio < 20:
             raise InputError(
                 f"{measurements.source}: positions spread {ratio:.3g} times as far as the "

@@ -110,8 +110,7 @@ def solve(
                 leverage = leverages(weights.whiten(stated) * np.r_[np.full(len(unknowns), UNKNOWN_STD), weighed.width])
             weights = noise_of(data, start, unknowns, leverage)
         residual = weights.whiten(data.residual(start, unknowns))
-        columns = weights.whiten(stated)
-        means, averaged = averaged_over_scales(weighed, solution, columns, residual, free)
+        means, averaged = averaged_over_scales(weighed, solution, weights.whiten(stated), residual, free)
         scales = {**scales, **means}
         if _settled(before, (weights, scales)):
             break
@@ -243,8 +242,7 @@ def _without_priors(model: PriorModel, data: Observations) -> Identification:
     """Solve by rank-aware least squares; only terms' coefficients have priors, weighed by the rows' scatter."""
     if not np.isfinite(model.std).any():
         return replace(identify_converged(model.parameters, model.start, [data]), prior=model)
-    free = ~np.isfinite(model.std)
-    scatter = identify_converged(model.parameters.some(free), model.start, [data]).scatter
+    scatter = identify_converged(model.parameters.some(~np.isfinite(model.std)), model.start, [data]).scatter
     weighed = model.prior(max(scatter, 1e-9))
     return replace(identify(model.parameters, model.start, [data, weighed], max_iterations=60), prior=model)
 

@@ -300,8 +300,7 @@ def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tu
         candidates: Indices, from 0, of the sine and cosine columns of each candidate ``(M, 2)``.
     """
     of_each, right_of_each, squares_of_each = equations.normal
-    rows = sum(len(block.joints) for block in equations.blocks)
-    most = min(MOST, rows // ROWS_EACH, len(candidates))
+    most = min(MOST, sum(len(block.joints) for block in equations.blocks) // ROWS_EACH, len(candidates))
     squares, paths = np.zeros(most + 1), []
     for block in range(len(equations.blocks)):
         matrix, right = equations.without(block)
@@ -521,10 +520,9 @@ class _Trial:
             names = tuple(name for name in NAMES if not missing.get(name))
         folds = [fold for _, fold in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
         every = counted(data.joints)
-        counts = tuple(every[fold] for fold in folds)
         terms = tuple(plain_term(name, arm, data) for name in names)
         equations = Linearised.of(bare, terms, [data.select(fold) for fold in folds])
-        return _Trial(bare, data, names, equations, counts)
+        return _Trial(bare, data, names, equations, tuple(every[fold] for fold in folds))
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
         """Return indices, from 0, of the parameters that are fitted with the terms ``names``.
@@ -546,8 +544,7 @@ class _Trial:
         """Compute the RMS miss, m, with the named terms over all blocks; each is predicted by a fit to the others."""
         squares, counts = 0.0, 0.0
         for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
-            solution = solved(*self.equations.without(number), places)
-            missed = self.equations.misses(block, solution)
+            missed = self.equations.misses(block, solved(*self.equations.without(number), places))
             count = self.counts[number][block.rows_of_misses]
             squares, counts = squares + float(count @ np.sum(missed**2, axis=1)), counts + float(count.sum())
         return float(np.sqrt(squares / counts))
@@ -564,8 +561,7 @@ class _Trial:
                 near = nearby(wave)
                 fine = Linearised.of(self.bare, (*others, near), self.equations.blocks)
                 places = fine.coefficients_of(len(others))
-                base = np.arange(places[0])
-                _, fine_places = chosen_orders(fine, base, places.reshape(-1, 2))
+                _, fine_places = chosen_orders(fine, np.arange(places[0]), places.reshape(-1, 2))
                 wave = near.some(np.sort(fine_places[::2] - places[0]) // 2)
                 if wave.orders:
                     terms["periodic"] = refined(wave, others, self.bare, self.data)

@@ -593,7 +593,7 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
     if not observations.groups.any():
         return random_split(poses, most, rng)
     home = home_groups(observations.groups, poses)
-    train, test = [], []
+    splits = []
     for number in np.unique(home):
         rows = np.flatnonzero(home == number)
         share = max(1, round(most * len(rows) / count))
@@ -602,10 +602,10 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
                 f"{observations.source}: socket or station {number + 1} has {len(rows)} rows, too few to hold "
                 f"{share} of them out"
             )
-        training, held_out = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
-        train.append(rows[training])
-        test.append(rows[held_out])
-    return np.concatenate(train), np.concatenate(test)
+        split = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
+        splits.append([rows[part] for part in split])
+    train, test = map(np.concatenate, zip(*splits, strict=True))
+    return train, test
 
 
 def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows]:

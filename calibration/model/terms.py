@@ -416,12 +416,11 @@ def term_from(content: Mapping[str, Any]) -> Term:
         InputError: If the content is from an older version and has link masses, which this version does not support.
     """
     numbers = _tuples(content)
-    kind = KINDS[numbers.pop("kind")]
     if numbers.pop("load", None) is not None:  # null in nearly all older files
         raise InputError("its compliance has link masses of its own, which pickenv no longer knows; calibrate anew")
     if numbers.get("weight"):
         numbers["weight"] = GravityTerm(**numbers["weight"])
-    term: Term = kind(**numbers)
+    term: Term = KINDS[numbers.pop("kind")](**numbers)
     return term
 
 

@@ -104,8 +104,7 @@ def gains(rows: Array, information: Array, weight: Array | None) -> Array:
     inner[..., np.arange(rows.shape[1]), np.arange(rows.shape[1])] += 1.0
     if weight is None:
         return np.asarray(2.0 * np.log(np.linalg.cholesky(inner).diagonal(axis1=-2, axis2=-1)).sum(axis=-1))
-    aimed = half @ (root.T @ weight @ root)
-    outer = aimed @ np.swapaxes(half, -1, -2)
+    outer = (half @ (root.T @ weight @ root)) @ np.swapaxes(half, -1, -2)
     return np.asarray(np.trace(np.linalg.solve(inner, outer), axis1=-2, axis2=-1))
 
 
@@ -381,8 +380,7 @@ def design_of(
     if isinstance(model, PriorModel):
         information = np.diag((parameters.tolerance / model.width) ** 2)
         return Design(joints, rows, parameters, weight, kind, information, framed=bool((model.group == FRAMES).any()))
-    triangle = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
-    r, order = qr(triangle, mode="r", pivoting=True)
+    r, order = qr(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"), mode="r", pivoting=True)
     diagonal = np.abs(np.diag(r))
     columns = np.sort(order[: int(np.sum(diagonal > REDUNDANCY_TOLERANCE * diagonal[0]))])
     base = parameters.some(np.isin(np.arange(len(order)), columns))

@@ -250,9 +250,8 @@ def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-un
     losses = np.zeros(settings.epochs)
     model.train()
     for epoch in range(settings.epochs):
-        order = np.resize(rng.permutation(len(x)), (steps, settings.batch_size))
         total = torch.zeros(())
-        for rows in torch.as_tensor(order):
+        for rows in torch.as_tensor(np.resize(rng.permutation(len(x)), (steps, settings.batch_size))):
             optimiser.zero_grad(set_to_none=True)
             loss = torch.nn.functional.mse_loss(model(x[rows]), y[rows])
             loss.backward()

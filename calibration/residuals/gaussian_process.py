@@ -265,10 +265,9 @@ class GaussianProcess(SavedArrays):
         order = rng.permutation(len(inputs))
         learnt_rows, some = np.sort(order[:rows]), np.sort(order[:likelihood_rows])
         mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
-        scaled = (targets - mean) / std
         parts, learnt = [], inputs[learnt_rows]
         with single_threaded():
-            for output in scaled.T:
+            for output in ((targets - mean) / std).T:
                 amplitude, length, noise = _most_likely(inputs[some], output[some], rng, starts)
                 factor = _factor(_kernel(learnt, learnt, length, amplitude), noise)
                 parts.append((length, amplitude, noise, cho_solve((factor, True), output[learnt_rows])))
@@ -353,8 +352,7 @@ def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple
     # (dual dual^T - inverse), times the kernel element by element, times columns
     weighted = dual[:, None] * (smooth @ (dual[:, None] * columns)) - half @ columns - half.T @ columns
     by_length = weighted[:, 0] @ scaled**2 - np.sum(scaled * weighted[:, 1:], axis=0)
-    slope = np.concatenate([[weighted[:, 0].sum()], by_length, [noise**2 * trace]])
-    return float(value), -slope
+    return float(value), -np.concatenate([[weighted[:, 0].sum()], by_length, [noise**2 * trace]])
 
 
 def _factor(smooth: Array, noise: float) -> Array:
@@ -403,8 +401,7 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
     """
     from scipy.stats import norm, qmc
 
-    points = qmc.Sobol(process.rows.shape[1], rng=rng).random(count)
-    normal = norm.ppf(np.clip(points, 1e-9, 1.0 - 1e-9))
+    normal = norm.ppf(np.clip(qmc.Sobol(process.rows.shape[1], rng=rng).random(count), 1e-9, 1.0 - 1e-9))
     parts = [_of_output(process, output, normal) for output in range(len(process.noise))]
     frequency, mean, factor = map(np.stack, zip(*parts, strict=True))
     return frequency, mean, factor
