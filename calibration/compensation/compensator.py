@@ -207,8 +207,7 @@ def aimed(nominal: Geometry, filters: Sequence[FilterState], joints: Array) -> A
         filters: Filter states, one per arm.
         joints: Joint targets ``(N, n)``, rad or m.
     """
-    rows = (Compensator(nominal, state.geometry)(row) for state, row in zip(filters, joints, strict=True))
-    return np.stack(list(rows))
+    return np.stack([Compensator(nominal, state.geometry)(row) for state, row in zip(filters, joints, strict=True)])
 
 
 def taught(
@@ -468,10 +467,7 @@ def _moved(
     return [clipped(m, q + dq, low, high) for q, dq, (low, high) in zip(joints, step, limits, strict=True)]
 
 
-Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
-
-
-def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
+def _solver(m: ModuleType, columns: Columns) -> Callable[[Sequence[Scalar], Columns], list[Scalar]]:
     """Return a function that computes joint steps, n components, which remove pose errors.
 
     The function's arguments are the error, six components, and the columns of this Jacobian or of one close to it.

@@ -516,11 +516,11 @@ def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
     """
     parts = sorted(data, key=lambda part: not part.framed)
     scenes = [origins_of(part).scene for part in parts]
-    sensors_and_targets, owners = list(zip(*scenes, strict=True)), []
-    for number, scene in enumerate(scenes[1:], start=2):
-        pairs = zip(scene, sensors_and_targets, strict=True)
-        firsts = [names.index(name) + 1 if name else number for name, names in pairs]
-        owners.append(dict(zip(OWN, firsts, strict=True)))
+    names_of = dict(zip(OWN, zip(*scenes, strict=True), strict=True))  # sensors by "base", targets by "tool"
+    owners = [
+        {frame: 1 + (names.index(names[i]) if names[i] else i) for frame, names in names_of.items()}
+        for i in range(1, len(parts))
+    ]
     return _stations(arm, parts, owners)
 
 
