@@ -209,10 +209,9 @@ def covariance_at(found: Identification, data: Observations, share: float) -> Ar
     by_arm, by_own = data.jacobian(found.arm_model, least_squares.unknowns_of(found, data))
     names, arm_names = found.identifiability.names, found.arm_model.parameter_names
     columns = np.hstack([by_own, by_arm[:, [arm_names.index(name) for name in names[by_own.shape[1] :]]]])
-    rows = columns / found.scatter if found.noise is None else found.noise.whiten(columns)
-    independent = found.identifiability.kept
-    rows = rows[:, independent]
-    precision = rows.T @ rows / share + np.diag(found.prior_std[independent] ** -2.0)
+    kept = found.identifiability.kept
+    rows = (columns / found.scatter if found.noise is None else found.noise.whiten(columns))[:, kept]
+    precision = rows.T @ rows / share + np.diag(found.prior_std[kept] ** -2.0)
     size = np.diag(precision) ** -0.5
     return np.asarray(np.linalg.inv(precision * np.outer(size, size)) * np.outer(size, size))
 
@@ -249,10 +248,6 @@ def _without_priors(model: PriorModel, data: Observations) -> Identification:
 
 PRIOR = 10.0
 """Prior standard deviation of a parameter as a multiple of its tolerance: 10 mm and 0.6 deg for geometry."""
-
-HOUR = 3600.0
-"""Seconds in an hour; drifts are stated per root hour."""
-
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
@@ -323,7 +318,7 @@ def random_walk(state: FilterState, tolerances: float) -> Array:
         tolerances: Standard deviation of each parameter's drift after one hour, as a multiple of its tolerance. It
             grows with the square root of time.
     """
-    return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / HOUR)
+    return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / 3600.0)
 
 
 def update(state: FilterState, joints: ArrayLike, observed: Pose | ArrayLike, noise: MeasurementNoise) -> FilterState:
@@ -344,11 +339,10 @@ def update(state: FilterState, joints: ArrayLike, observed: Pose | ArrayLike, no
         innovation = pose_error(predicted, Pose(observed.position[None], observed.rotation[None]))[0]
     else:
         innovation = np.asarray(observed, dtype=float) - predicted.position[0]
-    rows = len(innovation)
     if not np.isfinite(innovation).all():
         raise InputError("the observed pose or its joints are not finite; leave the pose out")
-    jacobian = state.arm_model.jacobian(joints)[0, :rows][:, state.columns]
-    variance = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
+    jacobian = state.arm_model.jacobian(joints)[0, : len(innovation)][:, state.columns]
+    variance = np.repeat([noise.position_std, noise.attitude_std], 3)[: len(innovation)] ** 2
     crossed = jacobian @ state.covariance
     gain = np.linalg.solve(crossed @ jacobian.T + np.diag(variance), crossed).T
     shrink = np.eye(len(gain)) - gain @ jacobian

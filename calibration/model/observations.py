@@ -110,9 +110,8 @@ class Origins:
     scene: tuple[str, str] = ("", "")
     repeat: float | None = None
 
-    def select(self, rows: ArrayLike) -> Origins:
+    def select(self, rows: NDArray[Any]) -> Origins:
         """Return the origins of the given rows (indices or a mask)."""
-        rows = np.asarray(rows)
         return replace(self, file=self.file[rows], line=self.line[rows])
 
     def place(self, row: int) -> tuple[str, int]:
@@ -434,9 +433,8 @@ class Observations:
     def select(self, rows: ArrayLike) -> Self:
         """Return the data set of only the given rows (indices or a mask)."""
         rows = np.asarray(rows)
-        origins = origins_of(self).select(rows)
-        changed = {"joints": self.joints[rows], "conditions": self.conditions.select(rows), "origins": origins}
-        return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
+        changed = {"conditions": self.conditions.select(rows), "origins": origins_of(self).select(rows)}
+        return replace(self, joints=self.joints[rows], **changed, **self._arrays(rows))  # type: ignore[type-var]
 
     def at_most(self, rows: int) -> Self:
         """Return the data set of at most this number of rows, equally spaced."""
@@ -632,10 +630,8 @@ def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows
     begin = round(0.35 * count - first / 2), round(0.75 * count - second / 2)
     if begin[0] < 0 or begin[0] + first > begin[1] or begin[1] + second > count:
         raise InputError(f"{test_rows} of {rows} rows cannot be held out as two separate blocks; hold out fewer")
-    held_out = np.zeros(count, dtype=bool)
-    for start, length in zip(begin, (first, second), strict=True):
-        held_out[start : start + length] = True
-    return np.flatnonzero(~held_out[poses]), np.flatnonzero(held_out[poses])
+    held_out = np.isin(poses, [*range(begin[0], begin[0] + first), *range(begin[1], begin[1] + second)])
+    return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
 def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, Rows]]:
