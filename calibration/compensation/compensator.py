@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Arm, Array, Geometry, Pose, displace_pose, forward
 from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.arm.kinematics import task_space
 from pickenv.arm.kinematics.forward import (
     Chain,
     Scalar,
@@ -35,14 +36,6 @@ from pickenv.arm.kinematics.forward import (
     set_aside,
     split_joints,
     tool_frame,
-)
-from pickenv.arm.kinematics.task_space import (
-    DIRECTION_TOLERANCE,
-    attitude_weight,
-    frame_error,
-    jacobian_columns,
-    small_rotation,
-    truncated_inverse,
 )
 from pickenv.base import InputError, require
 from pickenv.calibration.identification.solve import FilterState, predict, random_walk, update
@@ -90,7 +83,7 @@ class TruncatedSolver:
         along, length = _dot(before, smallest), m.sqrt(_dot(smallest, smallest))
         settled = m.abs(along) > (1.0 - SETTLED) * length * m.sqrt(_dot(before, before))
         # Squares of singular values are eigenvalues of J^T J. Its trace is between the largest and n times the largest.
-        least, cut = along / length / length, DIRECTION_TOLERANCE**2 * trace
+        least, cut = along / length / length, task_space.DIRECTION_TOLERANCE**2 * trace
         self.lost = settled & (least - ridge < 0.5 * cut / n)
         inverse_determinant = math.prod(self._factors[1], start=least)
         # The other eigenvalues' product is known, and the geometric mean of those above the second below their mean.
@@ -106,7 +99,7 @@ class TruncatedSolver:
         if len(self.doubtful[0]):
             self._zeros = m.zeros_like(trace)
             rows = m.stack([self._in_doubt(column) for column in columns], 2)
-            inverse = m.linalg.pinv(rows, rtol=DIRECTION_TOLERANCE)
+            inverse = m.linalg.pinv(rows, rtol=task_space.DIRECTION_TOLERANCE)
             self._inverses = inverse @ m.swapaxes(inverse, 1, 2)  # of J^T J
 
     def solve(self, right: Sequence[Scalar], columns: Columns | None = None) -> list[Scalar]:
@@ -408,14 +401,14 @@ def corrected(
     """
     nominal_chain, identified = chains
     limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
-    weight = attitude_weight(nominal.joints)
+    weight = task_space.attitude_weight(nominal.joints)
     command, goal, learnt, solve, best = target, tool_frame(m, nominal_chain, target), None, None, None
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
-        columns = [_weighed(weight, column) for column in jacobian_columns(nominal, links, tool)]
+        columns = [_weighed(weight, column) for column in task_space.jacobian_columns(nominal, links, tool)]
         solve = solve or _solver(m, columns)
-        error = _weighed(weight, frame_error(m, tool, goal, small_rotation))
+        error = _weighed(weight, task_space.frame_error(m, tool, goal, task_space.small_rotation))
         if residual is not None:
             if learnt is None:
                 learnt = _weighed(weight, residual(_moved(m, command, solve(error, columns), limits)))
@@ -425,7 +418,7 @@ def corrected(
     if best is None:
         return target
     tool = tool_frame(m, identified, command)
-    error = _weighed(weight, frame_error(m, tool, goal, small_rotation))
+    error = _weighed(weight, task_space.frame_error(m, tool, goal, task_space.small_rotation))
     return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt)))[0]
 
 
@@ -474,6 +467,6 @@ def _solver(m: ModuleType, columns: Columns) -> Callable[[Sequence[Scalar], Colu
     """
     if m is not math:
         return TruncatedSolver(columns, m).solve
-    root = truncated_inverse(np.array(columns).T)
+    root = task_space.truncated_inverse(np.array(columns).T)
     inverse = root @ root.T  # of J^T J
     return lambda error, columns: (inverse @ (np.array(columns) @ error)).tolist()

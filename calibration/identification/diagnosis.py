@@ -206,7 +206,7 @@ def checked_rows(
         found, (_, _, scales) = robust_fit(arm, train, known)
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
-    sets = (train, test) if len(test.joints) else (train,)
+    sets: tuple[Kind, ...] = (train, test) if len(test.joints) else (train,)
     of_test = scales[train.channels_of(test)]  # of held-out rows some stations may have none
     sizes = [sigma_of(found, data, of_test if data is test else scales) for data in sets]
     far = [np.flatnonzero(~(size <= OUTLIER_SIGMA)) for size in sizes]

@@ -22,12 +22,7 @@ from scipy.linalg import solve_triangular
 from pickenv.arm import Array, Geometry, MeasurementNoise, Pose, pose_error
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.identification import least_squares
-from pickenv.calibration.identification.least_squares import (
-    Identification,
-    identifiability,
-    identify,
-    identify_converged,
-)
+from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.noise_and_priors import LENGTHS, MADE, PriorModel, RowNoise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations
@@ -249,6 +244,7 @@ def _without_priors(model: PriorModel, data: Observations) -> Identification:
 PRIOR = 10.0
 """Prior standard deviation of a parameter as a multiple of its tolerance: 10 mm and 0.6 deg for geometry."""
 
+
 @dataclass(frozen=True, eq=False)
 class FilterState:
     """The filter's estimate and its covariance, after the poses measured so far.
@@ -293,8 +289,8 @@ def start_filter(
             f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
             f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
         )
-    jacobian = arm.jacobian(joints)[:, :rows, model.columns] * model.tolerance
-    base = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
+    jacobian = (arm.jacobian(joints)[:, :rows, model.columns] * model.tolerance).reshape(-1, len(model.columns))
+    base = least_squares.identifiability(jacobian, model.names, model.tolerance, len(joints))
     tolerance = model.tolerance[base.kept]
     return FilterState(arm, model.columns[base.kept], tolerance, np.diag((prior * tolerance) ** 2))
 

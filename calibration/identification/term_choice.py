@@ -72,10 +72,9 @@ class Linearised:
         scale = np.r_[np.ones(len(fitted)), arm.term_tolerances]
         of_fitted = (bare.scatter / bare.prior_std[bare.identifiability.kept]) ** 2
         ridge = np.r_[of_fitted, (bare.scatter / expected_sizes(arm)) ** 2]
-        offset = np.zeros(len(fitted))
-        if bare.prior is not None:
-            change = dict(zip(bare.geometry.parameter_names, bare.prior.start.difference(bare.arm_model), strict=True))
-            offset = np.array([change.get(name, 0.0) for name in fitted])
+        change = np.zeros(0) if bare.prior is None else bare.prior.start.difference(bare.arm_model)
+        change_of = dict(zip(bare.geometry.parameter_names, change.tolist(), strict=False))
+        offset = np.array([change_of.get(name, 0.0) for name in fitted])
         pull = np.r_[-of_fitted * offset, np.zeros(len(scale) - len(offset))]
         return Linearised(arm, bare.unknowns, names, scale, ridge, pull, tuple(blocks))
 
@@ -86,9 +85,8 @@ class Linearised:
 
     def coefficients_of(self, term: int) -> Places:
         """Return the indices, among the parameters, of the coefficients of the term with index ``term`` (from 0)."""
-        counts = [len(member.names(self.arm.geometry)) for member in self.arm.terms]
-        first = len(self.fitted) + sum(counts[:term])
-        return np.arange(first, first + counts[term])
+        ends = np.cumsum([len(self.fitted), *(len(member.names(self.arm.geometry)) for member in self.arm.terms)])
+        return np.arange(ends[term], ends[term + 1])
 
     def equations(self, data: Observations) -> tuple[Array, Array]:
         """Return the equations of a data set, linearised at the fitted geometry.
@@ -413,9 +411,7 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
     scores = {"none": trial.score(())}
 
     def wins(wider: tuple[str, ...], than: tuple[str, ...]) -> bool:
-        for names in (wider, than):
-            if _joined(names) not in scores:
-                scores[_joined(names)] = trial.score(names)
+        scores.update({_joined(names): trial.score(names) for names in (wider, than) if _joined(names) not in scores})
         return scores[_joined(wider)] < (1.0 - MARGIN) * scores[_joined(than)]
 
     temperature = observations.conditions.temperature

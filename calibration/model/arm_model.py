@@ -297,8 +297,7 @@ def _link_names(geometry: Geometry) -> list[str]:
 
 def _model(geometry: Geometry, names: list[str]) -> ErrorModel:
     """Return the model of the parameters with these names, in this order."""
-    index = {name: i for i, name in enumerate(geometry.parameter_names)}
-    columns = np.array([index[name] for name in names])
+    columns = np.array([geometry.parameter_names.index(name) for name in names])
     tolerance = np.where(geometry.parameter_is_angle[columns], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
     return ErrorModel(columns, tuple(names), tolerance)
 
