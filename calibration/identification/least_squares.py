@@ -210,7 +210,9 @@ def identify(
         change = np.zeros(len(names))
         change[base.kept] = step * tolerance[base.kept]
         before = arm, unknowns, weighted
-        arm, unknowns = _displaced(arm, unknowns, model, change)
+        *steps, of_arm = np.split(change, np.cumsum([len(values) for values in unknowns]))
+        arm = arm.moved(model.columns, of_arm)
+        unknowns = [values + step for values, step in zip(unknowns, steps, strict=True)]
         weighted = residual()
         rms = rms_of(weighted)
         # A shortened step proves nothing: what counts is what the whole one would still explain.
@@ -225,11 +227,10 @@ def identify(
                 break
             if near:  # the derivatives are those of an earlier step
                 near, (columns, matrix, right) = False, linearised()
-                continue
-            # Levenberg: a step that makes it worse is shortened until it helps.
-            damping = max(damping * 10.0, 1e-3)
-            if damping > 1e9:
+            elif damping * 10.0 > 1e9:
                 break
+            else:  # Levenberg: a step that makes it worse is shortened until it helps
+                damping = max(damping * 10.0, 1e-3)
             continue
         history.append(rms)
         iterates.append((arm, np.concatenate(unknowns)))
@@ -339,19 +340,6 @@ def _jacobian(
         np.multiply(by_arm.T[model.columns], tolerance[first:, None], out=jacobian.T[first:, rows])
         row, column = rows.stop, places.stop
     return jacobian
-
-
-def _displaced(
-    arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array
-) -> tuple[ArmModel, list[Array]]:
-    """Return the arm and each data set's unknowns after a change.
-
-    ``change`` ``(own + P,)`` has the changes of the unknowns, then of the parameters.
-    """
-    *steps, ours = np.split(change, np.cumsum([len(values) for values in unknowns]))
-    delta = np.zeros(len(arm.parameter_names))
-    delta[model.columns] = ours
-    return arm.displaced(delta), [values + step for values, step in zip(unknowns, steps, strict=True)]
 
 
 def _solve(matrix: Array, right: Array, damping: float) -> Array:

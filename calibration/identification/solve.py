@@ -76,10 +76,9 @@ def solve(
         return _without_priors(model, data)
     if not data.framed:
         model = model.without_base()
-    weights, start = noise or stated_noise(data), model.start
+    weights, start, scales = noise or stated_noise(data), model.start, dict(model.scales)
     if near is not None and near.noise is not None and near.noise.scatter.shape == weights.scatter.shape:
         weights, start = noise or near.noise, replace(start, geometry=near.geometry)
-    scales = dict(model.scales)
     if noise is None and len(data.joints) > MANY and not data.unknowns():
         few = solve(model, data.at_most(FEW), near=near)
         assert few.prior is not None
@@ -138,8 +137,7 @@ def averaged_over_scales(
     scale = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
     width = np.r_[np.full(count, UNKNOWN_STD), model.std * scale][base]
     group = np.r_[np.full(count, ""), model.group][base]
-    offset = np.zeros(columns.shape[1])
-    offset[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
+    offset = np.r_[np.zeros(count), model.start.difference(solution.arm_model)[model.parameters.columns]]
     upper, right = least_squares.triangle(columns, residual)
     upper, right = upper[:, base] * width, right + upper @ offset
     gram, right = upper.T @ upper, upper.T @ right
@@ -176,12 +174,10 @@ def averaged_over_scales(
         covariance += np.einsum("n,ni,nj->ij", share, means - centre, means - centre)
         change = -offset
         change[base] += centre * width
-        delta = np.zeros(len(solution.arm_model.parameter_names))
-        delta[model.parameters.columns] = change[count:]
         unknowns = np.array([*solution.unknowns.values()]) + change[:count]
         return replace(
             solution,
-            arm_model=solution.arm_model.displaced(delta),
+            arm_model=solution.arm_model.moved(model.parameters.columns, change[count:]),
             unknowns=dict(zip(solution.unknowns, unknowns.tolist(), strict=True)),
             delta=solution.delta + change,
             covariance=np.asarray(covariance * np.outer(width, width)),
@@ -343,6 +339,5 @@ def update(state: FilterState, joints: ArrayLike, observed: Pose | ArrayLike, no
     gain = np.linalg.solve(crossed @ jacobian.T + np.diag(variance), crossed).T
     shrink = np.eye(len(gain)) - gain @ jacobian
     covariance = shrink @ state.covariance @ shrink.T + (gain * variance) @ gain.T
-    delta = np.zeros(len(state.arm_model.parameter_names))
-    delta[state.columns] = gain @ innovation
-    return replace(state, arm_model=state.arm_model.displaced(delta), covariance=(covariance + covariance.T) / 2.0)
+    arm_model = state.arm_model.moved(state.columns, gain @ innovation)
+    return replace(state, arm_model=arm_model, covariance=(covariance + covariance.T) / 2.0)

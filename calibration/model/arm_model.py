@@ -204,6 +204,12 @@ class ArmModel:
         geometry = self.geometry.displaced(delta[:count])
         return replace(self, geometry=geometry, coefficients=self.coefficients + delta[count:])
 
+    def moved(self, columns: NDArray[np.int64], change: Array) -> ArmModel:
+        """Return this model with ``change`` ``(p,)`` added to the parameters with the indices ``columns`` ``(p,)``."""
+        delta = np.zeros(len(self.parameter_names))
+        delta[columns] = change
+        return self.displaced(delta)
+
     def difference(self, other: ArmModel) -> Array:
         """Return the ``delta`` for which ``self.displaced(delta)`` has the parameters of ``other``."""
         return np.concatenate([self.geometry.difference(other.geometry), other.coefficients - self.coefficients])
