@@ -220,9 +220,8 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
     rows: list[dict[str, Any]] = []
     for station in data.stations or (measurements.InstrumentStation(data),):
         unknowns = np.array([found.unknowns[name] for name in station.unknowns()])
-        frame = station.seen(found.arm_model, unknowns)[0].geometry
+        frame, origins = station.seen(found.arm_model, unknowns)[0].geometry, origins_of(station.data)
         shifts = {name: apart(getattr(found.geometry, name), getattr(frame, name)) for name in station.frames}
-        origins = origins_of(station.data)
         files = [origins.files[i] for i in np.unique(origins.file).tolist()]
         own = {name: {"mm": m * 1e3, "deg": float(np.degrees(angle))} for name, (m, angle) in shifts.items()}
         rows.append({"number": station.number, "files": files, "rows": len(station.data.joints), "own": own})

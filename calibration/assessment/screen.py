@@ -302,11 +302,8 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
     geometry = model.geometry
     value = dict(zip(model.parameter_names[len(geometry.parameter_names) :], model.coefficients, strict=True))
     spread = dict(zip(found.identifiability.kept_names, np.sqrt(np.diag(found.covariance)), strict=True))
-    for term in model.terms:
-        if not isinstance(term, ComplianceTerm):
-            continue
-        measured = data.conditions.torque
-        bare = replace(data.conditions, torque=None)
+    measured, bare = data.conditions.torque, replace(data.conditions, torque=None)
+    for term in (term for term in model.terms if isinstance(term, ComplianceTerm)):
         expected = None if measured is None else term.torques(geometry, data.joints, bare)
         for joint, name in zip(term.joints, term.names(geometry), strict=True):
             c, std = float(value[name]), float(spread.get(name, np.inf))

@@ -205,23 +205,18 @@ m."""
 
 def harmonics_of(found: Identification) -> list[Harmonic]:
     """Return the identified harmonics, in order of decreasing amplitude."""
-    model, names_fitted = found.arm_model, found.identifiability.kept_names
-    place = {name: i for i, name in enumerate(names_fitted)}
+    model, fitted = found.arm_model, found.identifiability.kept_names
     names = model.parameter_names[len(model.geometry.parameter_names) :]
     value = dict(zip(names, model.coefficients, strict=True))
     harmonics: list[Harmonic] = []
-    for term in model.terms:
-        if not isinstance(term, PeriodicTerm):
-            continue
-        parts = term.names(model.geometry)
+    for term in (term for term in model.terms if isinstance(term, PeriodicTerm)):
         stds = term.order_std or (None,) * len(term.orders)
-        for i, (joint, order, std) in enumerate(zip(term.joints, term.orders, stds, strict=True)):
-            pair = parts[2 * i : 2 * i + 2]
-            wave = np.array([value[name] for name in pair])
-            amplitude = float(np.hypot(*wave))
-            fitted = [k for k, name in enumerate(pair) if name in place]
-            rows = [place[pair[k]] for k in fitted]
-            slope = wave[fitted] / max(amplitude, 1e-300)
+        pairs = np.reshape(term.names(model.geometry), (-1, 2)).tolist()
+        for pair, joint, order, std in zip(pairs, term.joints, term.orders, stds, strict=True):
+            amplitude = float(np.hypot(*(value[name] for name in pair)))
+            parts = [name for name in pair if name in fitted]
+            rows = [fitted.index(name) for name in parts]
+            slope = np.array([value[name] for name in parts]) / max(amplitude, 1e-300)
             variance = float(slope @ found.covariance[np.ix_(rows, rows)] @ slope)
             harmonics.append((joint, order, std, amplitude, float(np.sqrt(variance))))
     return sorted(harmonics, key=lambda item: -item[3])
