@@ -309,9 +309,9 @@ def gate_residuals(
         if name in SLOW and others and not any(map(_wins_outside, others)):
             tried = " nor ".join(verdict.model for verdict in others)
             verdicts[name] = replace(bare, model=name, reason=f"not tried: no gain by {tried}, which learn sooner")
-            continue
-        learn = partial(_left_by, name, seeds[name], (fitters or {}).get(name))
-        verdicts[name] = _verdict(replace(bare, model=name), learn, blocked, inner)
+        else:
+            learn = partial(_left_by, name, seeds[name], (fitters or {}).get(name))
+            verdicts[name] = _verdict(replace(bare, model=name), learn, blocked, inner)
     if progress is not None:
         progress(len(models), len(models))
     return tuple(verdicts[name] for name in models)
