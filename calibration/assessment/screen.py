@@ -333,10 +333,6 @@ def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
     return Block("Stiffnesses of the joints", header, tuple(cells), note, "stiffnesses")
 
 
-SHARE = 0.95
-"""Share of errors below the bounds of `within95`."""
-
-
 def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
     """Compute the factor such that 95 of 100 errors are smaller than the factor times their expected RMS size.
 
@@ -370,5 +366,5 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
 
 def _quantile(ratio: Array) -> float:
     """Return the 95 % conformal quantile of n ratios: the ratio of rank 0.95 (n + 1), rounded up, and at most n."""
-    rank = int(np.ceil(SHARE * (len(ratio) + 1)))
+    rank = int(np.ceil(0.95 * (len(ratio) + 1)))
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])

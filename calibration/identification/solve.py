@@ -237,10 +237,6 @@ def _without_priors(model: PriorModel, data: Observations) -> Identification:
     return replace(identify(model.parameters, model.start, [data, weighed], max_iterations=60), prior=model)
 
 
-PRIOR = 10.0
-"""Prior standard deviation of a parameter as a multiple of its tolerance: 10 mm and 0.6 deg for geometry."""
-
-
 @dataclass(frozen=True, eq=False)
 class FilterState:
     """The filter's estimate and its covariance, after the poses measured so far.
@@ -264,7 +260,7 @@ class FilterState:
 
 
 def start_filter(
-    model: ErrorModel, start: Geometry | ArmModel, joints: Array, *, full_pose: bool = True, prior: float = PRIOR
+    model: ErrorModel, start: Geometry | ArmModel, joints: Array, *, full_pose: bool = True, prior: float = 10.0
 ) -> FilterState:
     """Return the first state of a filter that knows only the nominal arm.
 
@@ -274,7 +270,8 @@ def start_filter(
         joints: Joints ``(N, n)``, rad or m, of poses like those to be measured. These poses decide which parameters are
             identifiable.
         full_pose: False if only positions will be measured.
-        prior: Prior standard deviation of each parameter, as a multiple of its tolerance.
+        prior: Prior standard deviation of each parameter, as a multiple of its tolerance; 10 is 10 mm and 0.6 deg for
+            geometry.
 
     Raises:
         InputError: If the poses give fewer equations than there are candidate parameters.

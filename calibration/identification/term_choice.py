@@ -192,10 +192,6 @@ ROWS_EACH = 8
 WITHIN = 0.03
 """The fewest harmonics are taken whose error on held-out blocks exceeds the least error by at most this share."""
 
-ROUNDS = 3
-"""Number of Gauss-Newton steps that refine the orders."""
-
-
 Harmonic = tuple[int, float, float | None, float, float]
 """An identified harmonic of a joint's drive: joint, order, uncertainty of the order, amplitude, uncertainty of the
 amplitude. The joint is an index from 0. The order is in cycles per turn (for a prismatic joint 2 pi over the period,
@@ -323,7 +319,7 @@ def refined(
     """
     grid = orders = np.array(wave.orders)
     std = np.zeros(len(grid))
-    for _ in range(ROUNDS):
+    for _ in range(3):  # Gauss-Newton steps
         wave = PeriodicTerm(wave.joints, tuple(orders.tolist()))
         linear = Linearised.of(bare, (*others, wave))
         solution = _solution_with_priors(linear, observations)[-1]
@@ -355,7 +351,6 @@ def _solution_with_priors(linear: Linearised, observations: Observations) -> tup
 MARGIN = 0.03
 """Terms must cut the cross-validated RMS by more than this share."""
 
-FOLDS = 5
 ROWS = 1500
 """Largest number of training rows, equally spaced, on which terms are chosen."""
 
@@ -509,7 +504,7 @@ class _Trial:
                 "thermal": data.conditions.temperature is None,
             }
             names = tuple(name for name in NAMES if not missing.get(name))
-        folds = [fold for _, fold in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
+        folds = [fold for _, fold in contiguous_folds(data.groups, same_poses(data.joints), folds=5)]
         every = counted(data.joints)
         terms = tuple(plain_term(name, arm, data) for name in names)
         equations = Linearised.of(bare, terms, [data.select(fold) for fold in folds])

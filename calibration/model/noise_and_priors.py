@@ -64,9 +64,6 @@ PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
 LEAST_SPARE = 0.05
 """Least share of an equation that counts as a degree of freedom of the scatter, however large its leverage is."""
 
-ROUNDS = 40
-"""Number of iterations of expectation maximisation."""
-
 
 @dataclass(frozen=True, eq=False)
 class RowNoise:
@@ -236,7 +233,7 @@ def _of_pictures(
     spare = max(1.0 - leverage[many].sum() / (POSE * len(places)), LEAST_SPARE)
     bound = np.sqrt(np.trace(gram, axis1=1, axis2=2).mean() / POSE)
     pose = (np.ones(POSE) / max(bound, 1e-300)) ** 2
-    for _ in range(ROUNDS):
+    for _ in range(40):  # rounds of expectation maximisation
         white = sizes[channel] ** 2
         covariance = np.linalg.inv(gram / white[:, None, None] + np.diag(1.0 / pose))
         mean = (covariance @ (right / white[:, None])[..., None])[..., 0]
@@ -268,9 +265,6 @@ FRAME_STD = 10.0
 
 TOLD = 0.1
 """Limit up to which the rows determine a parameter of base or tool, as a share of `FRAME_STD`."""
-
-COEFFICIENT = 1.0
-"""Prior standard deviation of a term's coefficient, as a multiple of its tolerance (1 mm or 1 mrad at the tool)."""
 
 ANY_STIFFNESS = 100.0
 """Prior standard deviation of a compliance, in tolerances: any stiffness above 100 N*m/rad or 1 kN/m is plausible."""
@@ -418,8 +412,11 @@ def prior_model(
 
 
 def expected_sizes(model: ArmModel) -> Array:
-    """Return prior standard deviations of the terms' coefficients ``(k,)``, as multiples of their tolerances."""
-    sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else COEFFICIENT for term in model.terms]
+    """Return prior standard deviations of the terms' coefficients ``(k,)``, as multiples of their tolerances.
+
+    They are 1, which is 1 mm or 1 mrad at the tool, but `ANY_STIFFNESS` for compliances.
+    """
+    sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else 1.0 for term in model.terms]
     return np.repeat(sizes, [len(term.names(model.geometry)) for term in model.terms])
 
 

@@ -34,16 +34,13 @@ from pickenv.calibration.model.noise_and_priors import FRAMES, PriorModel
 RIDGE = 1e-9
 """Information added in every direction so that inverses exist, as a share of a candidate's mean information."""
 
-MAX_PASSES = 20
-"""Largest number of rounds of exchange through the chosen poses; three to six are usual."""
-
 
 def exchange(
     rows: Array,
     count: int,
     rng: np.random.Generator,
     weight: Array | None = None,
-    most_passes: int = MAX_PASSES,
+    most_passes: int = 20,
     *,
     known: Array | None = None,
 ) -> tuple[NDArray[np.int64], int]:
@@ -54,7 +51,8 @@ def exchange(
         count: Number of candidates to choose.
         rng: Draws the order of exchanges.
         weight: Matrix W ``(p, p)``, to minimise trace(W M^-1) for the information matrix M; None for D-optimality.
-        most_passes: Largest number of rounds of exchange; with 0 the candidates come in the order of their addition.
+        most_passes: Largest number of rounds of exchange; three to six are usual. With 0 the candidates come in the
+            order of their addition.
         known: Information ``(p, p)`` that exists already, from priors or from rows measured before.
 
     Returns:

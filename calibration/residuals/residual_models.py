@@ -194,9 +194,6 @@ def fit_residual(
 MARGIN = 0.02
 """Least share by which a residual model must cut the RMS on held-out blocks; less is no gain."""
 
-FOLDS = 5
-"""Number of contiguous folds of the cross-validation within the training rows."""
-
 AUTO = ("bpnn", "rbf", "gp")
 """Models that are tried by default. The list is fixed, so that other installed packages do not change the results."""
 
@@ -297,7 +294,7 @@ def gate_residuals(
 
     @cache
     def inner() -> list[Trial]:
-        folds = contiguous_folds(rows.groups, same_poses(rows.joints), FOLDS)
+        folds = contiguous_folds(rows.groups, same_poses(rows.joints), folds=5)
         return [_trial(rows, refit, *fold) for fold in folds]
 
     bare = GateVerdict("", None, position_rms(untouched, counts), None, _attitude_rms(untouched, counts))
