@@ -37,11 +37,8 @@ DRAWS = 400
 """Number of random bases and tools from which the interval of a `BaseFrameError` is computed."""
 
 SCALES = (0.2, 1.0)
-"""Smallest and largest standard deviation by which the true base and tool differ from the controller's.
-
-They are in mm and mrad per axis. Each draw takes a standard deviation between the two. Its logarithm is uniformly
-distributed.
-"""
+"""Smallest and largest standard deviation by which the true base and tool differ from the controller's, in mm and mrad
+per axis. Each draw takes a standard deviation between the two, whose logarithm is uniformly distributed."""
 
 NEAR = 0.05
 """Limit on `BaseFrameError.moved`, m, below which the instrument was probably registered to the robot's base."""
@@ -135,10 +132,7 @@ MATTERS = 0.03
 """Share by which the residuals must shrink, once the stated number is fitted, for a contradiction to matter."""
 
 LENS_MATTERS = 0.2
-"""Share by which a fitted lens must shrink the residuals in pixels for the stated lens to be in doubt.
-
-A lens has nine numbers, which always absorb some of the residuals.
-"""
+"""Share by which a fitted lens, whose nine numbers always absorb some, must shrink the residuals in pixels."""
 
 
 def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObservations, Observations]]:
@@ -226,9 +220,8 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
     rows: list[dict[str, Any]] = []
     for station in data.stations or (measurements.InstrumentStation(data),):
         unknowns = np.array([found.unknowns[name] for name in station.unknowns()])
-        frame = station.seen(found.arm_model, unknowns)[0].geometry
+        frame, origins = station.seen(found.arm_model, unknowns)[0].geometry, origins_of(station.data)
         shifts = {name: apart(getattr(found.geometry, name), getattr(frame, name)) for name in station.frames}
-        origins = origins_of(station.data)
         files = [origins.files[i] for i in np.unique(origins.file).tolist()]
         own = {name: {"mm": m * 1e3, "deg": float(np.degrees(angle))} for name, (m, angle) in shifts.items()}
         rows.append({"number": station.number, "files": files, "rows": len(station.data.joints), "own": own})
@@ -282,18 +275,12 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Sai
 
 
 PART_OFF = 8.0
-"""Deviation of a link parameter from its nominal value above which the arm or its tolerance class is wrong.
-
-It is in standard deviations of the tolerance class. Eight measured series of six arms stay below 6.1. Rows of a UR5e
-that were declared as rows of a UR5 reach 20.
-"""
+"""Deviation of a link parameter, in standard deviations of the tolerance class, above which arm or class is wrong.
+Eight measured series of six arms stay below 6.1. Rows of a UR5e that were declared as rows of a UR5 reach 20."""
 
 FRAME_OFF = 1e-5
-"""Significance level of the test of a base or tool that is stated as known.
-
-The test's p-value is the probability that parts of the tolerance class displace the frame as far as the fit did, or
-farther.
-"""
+"""Significance level of the test of a base or tool that is stated as known. The p-value is the probability that parts
+of the tolerance class displace the frame as far as the fit did, or farther."""
 
 ZEROS_OFF = 10.0
 """Factor on the standard deviations of joint zeros in the test of a known frame, since zeros are set in the field."""
@@ -302,10 +289,7 @@ SURE_BY = 2.0
 """Number of standard deviations that are subtracted from a link parameter's change before it is judged."""
 
 ONE_STEP = 0.5
-"""Largest share of the fit's squared residuals that a step function of one joint may explain without a caution.
-
-Eight measured series stay below 0.16.
-"""
+"""Largest share of squared residuals that a joint's step may explain; eight measured series stay below 0.16."""
 
 STEPS = np.linspace(0.1, 0.9, 17)
 """Quantiles of a joint's values at which a step of the errors is tried."""

@@ -6,7 +6,6 @@ compared with 1. Units: mm and degrees in outputs, SI inside.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -43,8 +42,7 @@ MANY_NOISES = 20.0
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
 ENOUGH, SEVERAL = 3, 10
-"""Smallest numbers of held-out rows: `ENOUGH` to judge a calibration, `SEVERAL` to accept a gain that only all rows
-together show."""
+"""Least numbers of held-out rows: to judge a calibration, and to accept a gain that only all rows together show."""
 
 Grade = Literal["good", "with care", "do not use"]
 
@@ -94,9 +92,8 @@ class Completeness:
 
 def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
     """Apply the chi^2 test to an identification; ``noise`` names the noise in sentences, such as "stated noise"."""
-    chi_square, freedom = found.chi_square, found.degrees_of_freedom  # without spare equations SciPy's law gives NaN
-    large, small = float(stats.chi2.sf(chi_square, freedom)), float(stats.chi2.cdf(chi_square, freedom))
-    return Completeness(chi_square, freedom, large, small, noise)
+    test = found.chi_square, found.degrees_of_freedom  # without spare equations SciPy's law gives NaN
+    return Completeness(*test, float(stats.chi2.sf(*test)), float(stats.chi2.cdf(*test)), noise)
 
 
 def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float, float, float]]:
@@ -270,9 +267,8 @@ def workspace_error(
     """
     if solution.prior is None or not solution.prior.proper:
         return None
-    geometry = solution.geometry
     measured, declared = (np.ptp(np.quantile(poses, [0.02, 0.98], axis=0), axis=0) for poses in (rows, joints))
-    thin = tuple(geometry.joint_names[i] for i in np.flatnonzero(measured < 0.5 * declared))
+    thin = tuple(nominal.joint_names[i] for i in np.flatnonzero(measured < 0.5 * declared))
     some = equally_spaced(len(rows), POSES)
     ways = np.full((1, 2), -1) if between is None else np.unique(between, axis=0)
     whole = np.resize(ways, (len(joints), 2))
@@ -420,9 +416,8 @@ def grade_quality(
     for weight, text in said:
         texts[weight].append(text)
     findings = [(weight, text) for weight, sentences in texts.items() for text in sentences]
-    weights = {weight for weight, _ in findings}
-    grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
-    _, reason = findings[0]
+    worst, reason = findings[0]
+    grade: Grade = "do not use" if worst == "fail" else "with care" if worst == "caution" else "good"
     if grade == "good":
         fall = "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
         reason = f"on {count} held-out {called} the error {fall} {_rms(after, unit):#.4g} {unit} RMS"
@@ -500,8 +495,7 @@ def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
         gain = np.bincount(which, gain) / np.bincount(which)
     if np.ptp(gain) <= SAME * np.max(np.abs(gain)):
         return 0.0 if gain[0] > 0 else 1.0
-    ratio = float(np.mean(gain) / np.std(gain, ddof=1))
-    return float(stats.t.sf(math.sqrt(len(gain)) * ratio, len(gain) - 1))
+    return float(stats.ttest_1samp(gain, 0.0, alternative="greater").pvalue)
 
 
 def _cautions(

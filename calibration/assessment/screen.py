@@ -29,12 +29,9 @@ LEAST_ROWS = 20
 """Smallest number of single errors for a 95 % interval of their mean; with ten, it covers the mean in only 92 %."""
 
 MOST_APART = 0.4
-"""Largest spread between blocks for which an interval of the root mean square is given.
-
-The spread is the standard deviation of the logarithm of the blocks' root mean squares. Above this value one block
-outweighs the others, and an interval from ten blocks covers the root mean square in less than 93 %. For the errors that
-calibrations of measured robots leave, the spread is 0.03 to 0.23.
-"""
+"""Largest spread between blocks, as standard deviation of the logarithm of their root mean squares, for an interval of
+the root mean square. Above it one block outweighs the others, and an interval from ten blocks covers the root mean
+square in less than 93 %. For the errors that calibrations of measured robots leave, the spread is 0.03 to 0.23."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,6 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
     if errors.size == 0 or not np.isfinite(errors).all():
         raise ValueError("error statistics need at least one error, all finite")
     norms = np.abs(errors) if errors.ndim == 1 else np.linalg.norm(errors, axis=1)
-    axis = () if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0)))
     ends = mean_interval(norms, LEAST_ROWS) if blocks is None else block_interval(norms, blocks)
     return ErrorStatistics(
         mean=float(norms.mean()),
@@ -95,7 +91,7 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
         std=float(norms.std()),
         p95=float(np.percentile(norms, 95)),
         max=float(norms.max()),
-        axis_rms=axis,
+        axis_rms=() if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0))),
         count=len(norms),
     )
 
@@ -144,11 +140,7 @@ NARROW = 10
 
 LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "plane_offset", "zero")
 NUMBERS_OF_KINDS = ("scale", "normal", "axis", "down")
-"""Name prefixes of directions and scales, unknowns without a unit.
-
-A kind of measurement adds such unknowns to the arm's parameters. `LENGTHS_OF_KINDS` has the prefixes of unknowns that
-are lengths.
-"""
+"""Prefixes of the unknowns that kinds of measurement add: lengths; directions and scales, which have no unit."""
 
 
 def figure(value: float | None) -> str:
@@ -310,11 +302,8 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
     geometry = model.geometry
     value = dict(zip(model.parameter_names[len(geometry.parameter_names) :], model.coefficients, strict=True))
     spread = dict(zip(found.identifiability.kept_names, np.sqrt(np.diag(found.covariance)), strict=True))
-    for term in model.terms:
-        if not isinstance(term, ComplianceTerm):
-            continue
-        measured = data.conditions.torque
-        bare = replace(data.conditions, torque=None)
+    measured, bare = data.conditions.torque, replace(data.conditions, torque=None)
+    for term in (term for term in model.terms if isinstance(term, ComplianceTerm)):
         expected = None if measured is None else term.torques(geometry, data.joints, bare)
         for joint, name in zip(term.joints, term.names(geometry), strict=True):
             c, std = float(value[name]), float(spread.get(name, np.inf))
@@ -342,10 +331,6 @@ def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
         cells.append((f"{row['joint']} ({row['name']})", *sizes, unit, *torques))
     note = NOTE if any("torque_rms" in row for row in rows) else "from the weight of the masses in the arm's file"
     return Block("Stiffnesses of the joints", header, tuple(cells), note, "stiffnesses")
-
-
-SHARE = 0.95
-"""Share of errors below the bounds of `within95`."""
 
 
 def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
@@ -381,5 +366,5 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
 
 def _quantile(ratio: Array) -> float:
     """Return the 95 % conformal quantile of n ratios: the ratio of rank 0.95 (n + 1), rounded up, and at most n."""
-    rank = int(np.ceil(SHARE * (len(ratio) + 1)))
+    rank = int(np.ceil(0.95 * (len(ratio) + 1)))
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])

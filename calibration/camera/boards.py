@@ -64,19 +64,16 @@ def write_lens(lens: Lens, path: str | Path) -> Path:
     """Write a lens as ROS camera_info YAML with all digits; the file is written whole or not at all."""
     import yaml
 
-    fx, fy, cx, cy, *distortion = (float(value) for value in lens.values)
-    matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    width, height = lens.size
-    projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    fx, fy, cx, cy, *distortion = lens.values.tolist()
     content: dict[str, Any] = {
-        "image_width": width,
-        "image_height": height,
+        "image_width": lens.size[0],
+        "image_height": lens.size[1],
         "camera_name": lens.name,
-        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
+        "camera_matrix": {"rows": 3, "cols": 3, "data": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]},
         "distortion_model": "plumb_bob",
         "distortion_coefficients": {"rows": 1, "cols": COEFFICIENTS, "data": distortion},
         "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel().tolist()},
-        "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
+        "projection_matrix": {"rows": 3, "cols": 4, "data": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]},
     }
     return write_text(Path(path), yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
 
@@ -115,8 +112,7 @@ DICTIONARIES: Mapping[str, str] = {
 SHIPPED = Path(__file__).parent / "shipped_boards"
 
 PIXELS_PER_SQUARE = 120
-"""Pixels per square in a board's picture. The page is drawn from this picture without smoothing, so that edges keep
-their place."""
+"""Pixels per square in a board's picture, which the page shows without smoothing, so that edges keep their place."""
 
 
 def one_of(names: Iterable[str]) -> toml_tables.Check:
@@ -178,14 +174,10 @@ class Board:
     @property
     def corners(self) -> Array:
         """Positions ``(K, 3)``, m, of the squares' inner corners row by row, or of each tag's corners clockwise."""
-        if self.kind != "apriltags":
-            x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
-            return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
-        assert self.gap is not None
-        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        first = (self.square + self.gap) * np.stack([x.ravel(), y.ravel()], axis=1)
-        tag = self.square * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-        flat = (first[:, None] + tag).reshape(-1, 2)
+        first, around = (0, [[0, 0], [1, 0], [1, 1], [0, 1]]) if self.kind == "apriltags" else (1, [[0, 0]])
+        x, y = np.meshgrid(np.arange(first, self.columns), np.arange(first, self.rows))
+        places = (self.square + (self.gap or 0.0)) * np.stack([x.ravel(), y.ravel()], axis=1)
+        flat = (places[:, None] + self.square * np.array(around)).reshape(-1, 2)
         return np.column_stack([flat, np.zeros(len(flat))])
 
     @property
@@ -199,8 +191,8 @@ class Board:
     @property
     def size(self) -> tuple[float, float]:
         """Width and height of the printed board, m, without a margin."""
-        step = self.square + (self.gap or 0.0)
-        return self.columns * step - (self.gap or 0.0), self.rows * step - (self.gap or 0.0)
+        gap = self.gap or 0.0
+        return self.columns * (self.square + gap) - gap, self.rows * (self.square + gap) - gap
 
 
 def load_board(name: str | Path) -> Board:
@@ -251,11 +243,10 @@ def opencv_board(board: Board) -> Any:
 
 def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> Grey:
     """Return a picture of the printed board without a margin: grey values ``(h, w)``, black 0 and white 255."""
-    scale = pixels_per_square / board.square
-    width, height = (round(side * scale) for side in board.size)
+    width, height = (round(side * (pixels_per_square / board.square)) for side in board.size)
     if board.kind == "chessboard":
-        x, y = np.meshgrid(np.arange(width), np.arange(height))
-        return np.where((x // pixels_per_square + y // pixels_per_square) % 2 == 0, 0, 255).astype(np.uint8)
+        squares = np.indices((height, width)) // pixels_per_square
+        return np.asarray(squares.sum(axis=0) % 2 * 255, dtype=np.uint8)
     picture = opencv_board(board).generateImage((width, height), marginSize=0, borderBits=1)
     return np.asarray(picture, dtype=np.uint8)
 
@@ -306,29 +297,20 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
 
 
 FEW_MARKERS = 4
-"""Largest number of markers, in a picture without corners, for the message that too little of the board is seen.
-
-If the picture shows more markers, or a marker that the board does not have, the message says that they are of another
-board.
-"""
+"""Largest number of markers, in a picture without corners, for the message that too little of the board is seen. With
+more markers, or one that the board does not have, the message says that they are of another board."""
 
 WINDOW = 5
 """Half width, px, of the square around a corner whose gradients determine the corner's uncertainty."""
 
 LEAST_STD = {"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3}
-"""Least standard uncertainty of a corner, px, by kind of board, however low the picture's noise is.
-
-Chessboard corners, where edges cross, are more accurate than the outer corners of tags, which blur shifts (both
-measured on rendered pictures).
-"""
+"""Least standard uncertainty of a corner, px, by kind of board. Chessboard corners, where edges cross, are more
+accurate than the outer corners of tags, which blur shifts (both measured on rendered pictures)."""
 
 
 Corners = tuple[Array, NDArray[np.bool_], Array]
-"""The corners of a board in one picture: pixels, mask and standard uncertainties.
-
-Pixels ``(K, 2)`` are 0 for a corner that was not found. The mask ``(K,)`` is True for corners that were found. The
-standard uncertainty of each coordinate ``(K,)`` is in px, 1 for a corner that was not found.
-"""
+"""The corners of a board in one picture: pixels ``(K, 2)``, 0 for a corner that was not found; a mask ``(K,)`` of the
+corners found; the standard uncertainty of each coordinate ``(K,)``, px, 1 for a corner that was not found."""
 
 
 def find_corners(board: Board, picture: Grey, where: str) -> Corners:
@@ -365,8 +347,7 @@ def find_tags(dictionary: str, numbers: Sequence[int], picture: Grey, where: str
     if not of_body.any():
         tags = listed(map(str, np.unique(seen // 4))) if len(seen) else "none"
         raise InputError(f"{where}: no tag of the target was found; of {dictionary} it shows {tags}; check [target]")
-    index_of = {number: i for i, number in enumerate(numbers)}
-    rows, places = [index_of[int(number)] for number in seen[of_body]], places[of_body]
+    rows, places = [numbers.index(number) for number in seen[of_body]], places[of_body]
     return corners_at(len(numbers), rows, places, corner_std(picture, places, LEAST_STD["apriltags"]))
 
 
@@ -398,13 +379,12 @@ def corner_std(picture: Grey, corners: Array, least: float) -> Array:
     """
     grey = picture.astype(float)
     down, across = np.gradient(grey)
-    noise = picture_noise(grey)
-    stds = np.empty(len(corners))
-    for i, (x, y) in enumerate(np.rint(corners).astype(int)):
+    sharpness = []
+    for x, y in np.rint(corners).astype(int):
         window = tuple(slice(max(i - WINDOW, 0), i + WINDOW + 1) for i in (y, x))
         g = np.stack([across[window].ravel(), down[window].ravel()])
-        stds[i] = noise / np.sqrt(max(float(np.linalg.eigvalsh(g @ g.T)[0]), 1e-9))
-    return np.hypot(stds, least)
+        sharpness.append(max(float(np.linalg.eigvalsh(g @ g.T)[0]), 1e-9))
+    return np.hypot(picture_noise(grey) / np.sqrt(sharpness), least)
 
 
 def picture_noise(grey: Array) -> float:

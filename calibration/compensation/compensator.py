@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Arm, Array, Geometry, Pose, displace_pose, forward
 from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.arm.kinematics import task_space
 from pickenv.arm.kinematics.forward import (
     Chain,
     Scalar,
@@ -36,14 +37,6 @@ from pickenv.arm.kinematics.forward import (
     split_joints,
     tool_frame,
 )
-from pickenv.arm.kinematics.task_space import (
-    DIRECTION_TOLERANCE,
-    attitude_weight,
-    frame_error,
-    jacobian_columns,
-    small_rotation,
-    truncated_inverse,
-)
 from pickenv.base import InputError, require
 from pickenv.calibration.identification.solve import FilterState, predict, random_walk, update
 
@@ -54,19 +47,13 @@ from pickenv.calibration.identification.solve import FilterState, predict, rando
 # lines run on NumPy arrays and torch tensors.
 
 RIDGE = 16.0
-"""Value added to the diagonal of J^T J, so that a singular J^T J can be factorised.
-
-It is in multiples of the rounding error of the trace of J^T J.
-"""
+"""Value added to the diagonal of a singular J^T J to factorise it, in multiples of its trace's rounding error."""
 
 SETTLED = 1e-4
 """Largest rotation (1 - cosine) of the singular direction in the last inverse iteration that counts as converged."""
 
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
-"""Start vector of the inverse iteration for the singular direction.
-
-It is far from the directions that are likely to be singular in a symmetric arm.
-"""
+"""Start of the inverse iteration, far from the directions that are likely to be singular in a symmetric arm."""
 
 Columns = Sequence[Sequence[Scalar]]
 """The n columns of a Jacobian J, each with six components ``(...)``; components that are the float 0.0 cost nothing."""
@@ -96,7 +83,7 @@ class TruncatedSolver:
         along, length = _dot(before, smallest), m.sqrt(_dot(smallest, smallest))
         settled = m.abs(along) > (1.0 - SETTLED) * length * m.sqrt(_dot(before, before))
         # Squares of singular values are eigenvalues of J^T J. Its trace is between the largest and n times the largest.
-        least, cut = along / length / length, DIRECTION_TOLERANCE**2 * trace
+        least, cut = along / length / length, task_space.DIRECTION_TOLERANCE**2 * trace
         self.lost = settled & (least - ridge < 0.5 * cut / n)
         inverse_determinant = math.prod(self._factors[1], start=least)
         # The other eigenvalues' product is known, and the geometric mean of those above the second below their mean.
@@ -112,7 +99,7 @@ class TruncatedSolver:
         if len(self.doubtful[0]):
             self._zeros = m.zeros_like(trace)
             rows = m.stack([self._in_doubt(column) for column in columns], 2)
-            inverse = m.linalg.pinv(rows, rtol=DIRECTION_TOLERANCE)
+            inverse = m.linalg.pinv(rows, rtol=task_space.DIRECTION_TOLERANCE)
             self._inverses = inverse @ m.swapaxes(inverse, 1, 2)  # of J^T J
 
     def solve(self, right: Sequence[Scalar], columns: Columns | None = None) -> list[Scalar]:
@@ -213,8 +200,7 @@ def aimed(nominal: Geometry, filters: Sequence[FilterState], joints: Array) -> A
         filters: Filter states, one per arm.
         joints: Joint targets ``(N, n)``, rad or m.
     """
-    rows = (Compensator(nominal, state.geometry)(row) for state, row in zip(filters, joints, strict=True))
-    return np.stack(list(rows))
+    return np.stack([Compensator(nominal, state.geometry)(row) for state, row in zip(filters, joints, strict=True)])
 
 
 def taught(
@@ -415,14 +401,14 @@ def corrected(
     """
     nominal_chain, identified = chains
     limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
-    weight = attitude_weight(nominal.joints)
+    weight = task_space.attitude_weight(nominal.joints)
     command, goal, learnt, solve, best = target, tool_frame(m, nominal_chain, target), None, None, None
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
-        columns = [_weighed(weight, column) for column in jacobian_columns(nominal, links, tool)]
+        columns = [_weighed(weight, column) for column in task_space.jacobian_columns(nominal, links, tool)]
         solve = solve or _solver(m, columns)
-        error = _weighed(weight, frame_error(m, tool, goal, small_rotation))
+        error = _weighed(weight, task_space.frame_error(m, tool, goal, task_space.small_rotation))
         if residual is not None:
             if learnt is None:
                 learnt = _weighed(weight, residual(_moved(m, command, solve(error, columns), limits)))
@@ -432,7 +418,7 @@ def corrected(
     if best is None:
         return target
     tool = tool_frame(m, identified, command)
-    error = _weighed(weight, frame_error(m, tool, goal, small_rotation))
+    error = _weighed(weight, task_space.frame_error(m, tool, goal, task_space.small_rotation))
     return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt)))[0]
 
 
@@ -474,16 +460,13 @@ def _moved(
     return [clipped(m, q + dq, low, high) for q, dq, (low, high) in zip(joints, step, limits, strict=True)]
 
 
-Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
-
-
-def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
+def _solver(m: ModuleType, columns: Columns) -> Callable[[Sequence[Scalar], Columns], list[Scalar]]:
     """Return a function that computes joint steps, n components, which remove pose errors.
 
     The function's arguments are the error, six components, and the columns of this Jacobian or of one close to it.
     """
     if m is not math:
         return TruncatedSolver(columns, m).solve
-    root = truncated_inverse(np.array(columns).T)
+    root = task_space.truncated_inverse(np.array(columns).T)
     inverse = root @ root.T  # of J^T J
     return lambda error, columns: (inverse @ (np.array(columns) @ error)).tolist()

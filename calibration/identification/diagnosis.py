@@ -127,8 +127,7 @@ ANOTHER_ARM = 5.0
 """A station whose median residual is more than this many times the others' median probably measured another arm."""
 
 SIDE, MOVED = 8, 2.5
-"""Least count of rows before and after a move of the instrument, and least ratio of two RMS errors: with one base, and
-with two."""
+"""Least count of rows on either side of a move, and least ratio of two RMS errors: with one base, and with two."""
 
 FEW = 4
 """Fewer held-out rows than this are listed one by one, and never taken for rows of another set-up."""
@@ -207,7 +206,7 @@ def checked_rows(
         found, (_, _, scales) = robust_fit(arm, train, known)
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
-    sets = (train, test) if len(test.joints) else (train,)
+    sets: tuple[Kind, ...] = (train, test) if len(test.joints) else (train,)
     of_test = scales[train.channels_of(test)]  # of held-out rows some stations may have none
     sizes = [sigma_of(found, data, of_test if data is test else scales) for data in sets]
     far = [np.flatnonzero(~(size <= OUTLIER_SIGMA)) for size in sizes]
@@ -230,12 +229,11 @@ def checked_rows(
             attitude, place = None if turned is None else float(turned[row]), origins_of(data).place(row)
             size_and_miss = float(missed[row]), attitude, float(size[row])
             listed.append(LeftOut(*place, data is test, *size_and_miss, why, not robust, data.miss_unit))
-    train = train.weighed(scales)
-    sets = (train, *sets[1:])
+    sets = (train.weighed(scales), *sets[1:])
     if robust:
         near = [np.setdiff1d(np.arange(len(data.joints)), rows) for data, rows in zip(sets, far, strict=True)]
-        remaining = [data.select(rows) for data, rows in zip(sets, near, strict=True)]
-        train, test = remaining[0], remaining[1] if len(sets) > 1 else test
+        sets = tuple(data.select(rows) for data, rows in zip(sets, near, strict=True))
+    train, test = (*sets, test)[:2]
     return train, test, tuple(sorted(listed, key=lambda item: -(item.sigma or 0.0)))
 
 
@@ -354,8 +352,8 @@ def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observa
     channel; a channel is the readings of one instrument in one unit.
     """
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
-    scale, unit_name = MISS_UNITS[test.miss_unit], test.miss_unit
-    away = f"{np.median(misses_of(found, test)) * scale:.3g} {unit_name}"
+    scale = MISS_UNITS[test.miss_unit]
+    away = f"{np.median(misses_of(found, test)) * scale:.3g} {test.miss_unit}"
     if test.poses is not None:
         unit = mixed_unit(arm, partial(sigma_of, found, scales=scales), test.poses, np.arange(len(test.joints)))
         if unit is not None:
@@ -376,7 +374,7 @@ def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observa
                 f"base moved by {base} and the tool by {tool} they fit; hold out rows of the training rows' own "
                 "set-up, or calibrate this file by itself"
             )
-    usual = f"{np.median(misses_of(found, train)) * scale:.2g} {unit_name}"
+    usual = f"{np.median(misses_of(found, train)) * scale:.2g} {test.miss_unit}"
     return (
         f"{files}: most held-out rows miss by {away} (median), where half of the training rows miss by less than "
         f"{usual}, and no other place of base or tool explains it; check that they are of this arm, with the same "
@@ -407,8 +405,8 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
         (f"joint {i + 1} ({arm.nominal.joint_names[i]})", "joints", [i], length if slides else angle)
         for i, slides in enumerate(arm.nominal.prismatic)
     ]
-    for axes, label in (([0, 1, 2], "the position"), ([0], "x"), ([1], "y"), ([2], "z")):
-        columns.append((label, "position", axes, length))
+    axes_of = {"the position": [0, 1, 2], "x": [0], "y": [1], "z": [2]}
+    columns += [(label, "position", axes, length) for label, axes in axes_of.items()]
     if data.rotation is not None:
         values["rotation"] = rotation_vector(data.rotation)
         columns.append(("the attitude", "rotation", [0, 1, 2], angle))
@@ -445,16 +443,13 @@ def _blind_views(views: PixelObservations) -> dict[int, str]:
     In a table of corners, a view without corners is the only one left out.
     """
     counts, found = views.seen.sum(axis=1), views.pictures is not None and not views.board[:, 2].any()
-    least, remarks = LEAST_CORNERS if found else 1, views.remarks
+    least, remarks, starts = LEAST_CORNERS if found else 1, views.remarks, views.starters()
     reasons = {}
     for row in np.flatnonzero(counts < least).tolist():
         few = f"{count_of(counts[row], 'corner')} found; a view needs {least}"
         reasons[row] = (str(remarks[row]) if remarks is not None else "") or few
-    clear = np.setdiff1d(np.arange(len(counts)), list(reasons))
-    starts = views.starters()
-    if found:
-        for row in clear[~starts[clear]].tolist():
-            reasons[row] = f"its {counts[row]} corners lie near one line, and do not tell how the board is turned"
+    for row in np.flatnonzero(found & ~starts & (counts >= least)).tolist():
+        reasons[row] = f"its {counts[row]} corners lie near one line, and do not tell how the board is turned"
     if (enough := int(np.sum(starts & (counts >= least)))) < LEAST_VIEWS:
         more = "take more pictures, with the board larger in them" if found else f"see {STARTING} points in more views"
         raise InputError(

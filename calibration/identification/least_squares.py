@@ -106,9 +106,8 @@ class Identification:
     @property
     def prior_std(self) -> Array:
         """Prior standard deviation of every parameter, in the order of ``identifiability.names``; infinite if none."""
-        names = self.identifiability.names
         width = {} if self.prior is None else dict(zip(self.prior.parameters.names, self.prior.width, strict=True))
-        return np.array([width.get(name, np.inf) for name in names])
+        return np.array([width.get(name, np.inf) for name in self.identifiability.names])
 
     @property
     def narrowed(self) -> Array:
@@ -211,7 +210,9 @@ def identify(
         change = np.zeros(len(names))
         change[base.kept] = step * tolerance[base.kept]
         before = arm, unknowns, weighted
-        arm, unknowns = _displaced(arm, unknowns, model, change)
+        *steps, of_arm = np.split(change, np.cumsum([len(values) for values in unknowns]))
+        arm = arm.moved(model.columns, of_arm)
+        unknowns = [values + step for values, step in zip(unknowns, steps, strict=True)]
         weighted = residual()
         rms = rms_of(weighted)
         # A shortened step proves nothing: what counts is what the whole one would still explain.
@@ -226,11 +227,10 @@ def identify(
                 break
             if near:  # the derivatives are those of an earlier step
                 near, (columns, matrix, right) = False, linearised()
-                continue
-            # Levenberg: a step that makes it worse is shortened until it helps.
-            damping = max(damping * 10.0, 1e-3)
-            if damping > 1e9:
+            elif damping * 10.0 > 1e9:
                 break
+            else:  # Levenberg: a step that makes it worse is shortened until it helps
+                damping = max(damping * 10.0, 1e-3)
             continue
         history.append(rms)
         iterates.append((arm, np.concatenate(unknowns)))
@@ -342,19 +342,6 @@ def _jacobian(
     return jacobian
 
 
-def _displaced(
-    arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array
-) -> tuple[ArmModel, list[Array]]:
-    """Return the arm and each data set's unknowns after a change.
-
-    ``change`` ``(own + P,)`` has the changes of the unknowns, then of the parameters.
-    """
-    *steps, ours = np.split(change, np.cumsum([len(values) for values in unknowns]))
-    delta = np.zeros(len(arm.parameter_names))
-    delta[model.columns] = ours
-    return arm.displaced(delta), [values + step for values, step in zip(unknowns, steps, strict=True)]
-
-
 def _solve(matrix: Array, right: Array, damping: float) -> Array:
     """Compute the least-squares solution ``(K,)`` of ``matrix`` x = ``right`` by QR.
 
@@ -413,8 +400,7 @@ def _enough_poses(
     ``rank`` is the number of parameters that the data identify at their own poses, ``rows`` the number of equations,
     and ``unknowns`` the values of each data set's own unknowns.
     """
-    parameters = len(model.names) + sum(len(values) for values in unknowns)
-    if rows >= 2 * parameters:
+    if rows >= 2 * (len(model.names) + sum(len(values) for values in unknowns)):
         return  # whatever the rank elsewhere, there are enough
     part, full = sets[0], rank
     if len(sets) == 1 and not part.stations:  # stations cannot be asked at other poses
@@ -422,8 +408,7 @@ def _enough_poses(
         links = model.some(model.columns < len(arm.geometry.parameter_names))
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
         matrix, names = _jacobian(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
-        elsewhere = identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance)
-        full = max(full, elsewhere.rank)
+        full = max(full, identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance).rank)
     if rows <= full or (part.kind in ("pose", "position") and rank < full and rows < 2 * full):
         poses = sum(len(part.joints) for part in sets)
         needed = -int(-2 * full // (rows / poses))

@@ -22,7 +22,7 @@ from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_mod
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise_and_priors import counted
-from pickenv.calibration.model.observations import Observations, equally_spaced, nearest_rotation, origins_of
+from pickenv.calibration.model.observations import Observations, nearest_rotation, origins_of
 from pickenv.calibration.model.terms import weight_of
 
 # Base and tool pose from anywhere: closed-form starts, then least squares, and the refusal of what is no such arm.
@@ -45,8 +45,7 @@ GOOD = 0.05
 """A fit whose error is below this share of the spread needs no further starts."""
 
 STARTS = 24
-"""If neither the closed form nor the nominal tool gives a good fit, the best ``STARTS / 4`` of ``8 * STARTS`` random
-tools are tried."""
+"""If closed form and nominal tool fit badly, the best ``STARTS / 4`` of ``8 * STARTS`` random tools are tried."""
 
 
 @single_threaded()
@@ -95,9 +94,8 @@ def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry
         return sorted(starts, key=lambda start: sum(misfit(start, measurements)))
 
     yield from ranked([geometry.tool, _closed_form_tool(chain, measurements, geometry.tool)])
-    rng = np.random.default_rng(0)
     reach = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-3)
-    draws = rng.normal(size=(STARTS * 8, 2, 3))
+    draws = np.random.default_rng(0).normal(size=(STARTS * 8, 2, 3))
     yield from ranked(Pose(place * reach, rotation_matrix(turn * 2.0)) for place, turn in draws)[: STARTS // 4]
 
 
@@ -133,8 +131,7 @@ def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measur
         turn, _ = laid_onto(nominal, measured)
     else:
         turn = nearest_rotation(np.einsum("nij,nkj->ik", measurements.rotation, chain.rotation @ tool.rotation))
-    base = Pose(measured.mean(0) - turn @ nominal.mean(0), turn)
-    return replace(geometry, base=base, tool=tool)
+    return replace(geometry, base=Pose(measured.mean(0) - turn @ nominal.mean(0), turn), tool=tool)
 
 
 def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) -> Pose:
@@ -149,8 +146,7 @@ def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) ->
         return Pose(_offset_from_positions(chain, measurements.position), nominal.rotation)
     turn, tool_turn = _turns_from_attitudes(chain.rotation, measurements.rotation)
     # p = t + R o + R Q u is linear in t and u.
-    count = len(measurements)
-    matrix = np.concatenate([np.broadcast_to(np.eye(3), (count, 3, 3)), turn @ chain.rotation], axis=2)
+    matrix = np.concatenate([np.broadcast_to(np.eye(3), (len(measurements), 3, 3)), turn @ chain.rotation], axis=2)
     right = measurements.position - chain.position @ turn.T
     solution = np.linalg.lstsq(matrix.reshape(-1, 6), right.ravel(), rcond=1e-9)[0]
     return Pose(solution[3:], tool_turn)
@@ -164,8 +160,7 @@ def _offset_from_positions(chain: Pose, position: Array) -> Array:
     """
     count, middle = len(position), position.mean(axis=0)
     by_rotation = np.einsum("ik,nj->nikj", np.eye(3), position - middle).reshape(count, 3, 9)
-    by_shift = np.broadcast_to(-np.eye(3), (count, 3, 3))
-    matrix = np.concatenate([by_rotation, by_shift, -chain.rotation], axis=2)
+    matrix = np.concatenate([by_rotation, np.broadcast_to(-np.eye(3), (count, 3, 3)), -chain.rotation], axis=2)
     solution = np.linalg.lstsq(matrix.reshape(-1, 15), chain.position.ravel(), rcond=1e-6)[0]
     return np.asarray(solution[12:])
 
@@ -179,8 +174,7 @@ def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
     """
     # Row-major vec: vec(A X) = (A kron 1) vec X, vec(Y B) = (1 kron B^T) vec Y. Of rotations the normal equations are
     # [[N, -S], [-S^T, N]] with the sum S of A^T kron B^T, so that the null vector is S's first pair of singular ones.
-    across = np.einsum("nji,nlk->ikjl", measured, chain)
-    u, _, vt = np.linalg.svd(across.reshape(9, 9))
+    u, _, vt = np.linalg.svd(np.einsum("nji,nlk->ikjl", measured, chain).reshape(9, 9))
     first, second = u[:, 0].reshape(3, 3), vt[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(second)) or 1.0
     return nearest_rotation(second * sign), nearest_rotation(first * sign).T
@@ -219,8 +213,7 @@ def refuse_another_arm(
             raise InputError(f"{measurements.source}: {state} the arm fits {times} better with {reading}")
     if position * spread > MISFIT * max(spread, SPAN):
         whole = ArmModel.of(nominal or geometry).pose(measurements.joints, measurements.conditions)
-        reach = float(np.linalg.norm(whole.position.std(axis=0)))
-        ratio = spread / max(reach, 1e-12)
+        ratio = spread / max(float(np.linalg.norm(whole.position.std(axis=0))), 1e-12)
         if not 0.05 < ratio < 20:
             raise InputError(
                 f"{measurements.source}: positions spread {ratio:.3g} times as far as the "
@@ -243,7 +236,7 @@ def _other_reading(arm: Geometry, data: Measurements, known: bool) -> tuple[floa
     A reading counts a joint backwards, exchanges two joints, or mirrors the positions. If ``known`` is False, each
     reading is judged with a rough base and tool that are computed for it.
     """
-    data, names = data.select(equally_spaced(len(data), FILE_ROWS)), arm.joint_names
+    data, names = data.at_most(FILE_ROWS), arm.joint_names
     readings = {f"{name} counted backwards": data.joints * (1.0 - 2.0 * (np.array(names) == name)) for name in names}
     for i, k in combinations(range(arm.joints), 2):
         if arm.prismatic[i] == arm.prismatic[k]:
@@ -263,12 +256,10 @@ OUTLIER_SIGMA = 10.0
 """Rows whose error exceeds this many robust standard deviations are outliers; errors of the arm model stay below it."""
 
 WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
-"""Largest number of re-weighted least-squares fits, largest number of repeated alignments, and number of random sets of
-four poses."""
+"""Largest numbers of re-weighted fits and of repeated alignments, and number of random sets of four poses."""
 
 CAUCHY = 2.385
-"""Error, in standard deviations per coordinate, at which a row's weight is 0.5; the efficiency is 95 % for normal
-noise."""
+"""Error, in standard deviations per coordinate, at which a row weighs 0.5; 95 % efficiency for normal noise."""
 
 
 Sizes = tuple[Array, Array, Array]
@@ -426,8 +417,7 @@ ROBUST_ROWS = 2000
 """Largest number of rows of the robust fit, equally spaced; all rows are judged by this fit."""
 
 SPARE = 3
-"""Least ratio of equations to parameters at which the arm's geometry is fitted beside its frames, or its compliance
-beside its geometry."""
+"""Least ratio of equations to parameters to fit geometry beside frames, or compliance beside geometry."""
 
 
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
@@ -484,7 +474,7 @@ def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Ident
     Raises:
         InputError: If there are too few rows, or no majority agrees.
     """
-    data = data.select(equally_spaced(len(data.joints), ROBUST_ROWS))
+    data = data.at_most(ROBUST_ROWS)
     start = ArmModel.of(arm.nominal if known else robust_frames(arm, data))
     model = fitted_model(arm.name, arm.nominal, known)
     if arm.load is not None:
@@ -526,11 +516,11 @@ def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
     """
     parts = sorted(data, key=lambda part: not part.framed)
     scenes = [origins_of(part).scene for part in parts]
-    sensors_and_targets, owners = list(zip(*scenes, strict=True)), []
-    for number, scene in enumerate(scenes[1:], start=2):
-        pairs = zip(scene, sensors_and_targets, strict=True)
-        firsts = [names.index(name) + 1 if name else number for name, names in pairs]
-        owners.append(dict(zip(OWN, firsts, strict=True)))
+    names_of = dict(zip(OWN, zip(*scenes, strict=True), strict=True))  # sensors by "base", targets by "tool"
+    owners = [
+        {frame: 1 + (names.index(names[i]) if names[i] else i) for frame, names in names_of.items()}
+        for i in range(1, len(parts))
+    ]
     return _stations(arm, parts, owners)
 
 
@@ -553,8 +543,7 @@ def _stations(arm: Arm, parts: Sequence[Observations], owners: Sequence[Mapping[
 
 
 SetUp = tuple[tuple[int, ...], tuple[str, ...]]
-"""Numbers, from 0, of the data sets that share one set-up, and names of the frames that differ from those of the first
-set-up."""
+"""Numbers, from 0, of the data sets of one set-up, and names of the frames that differ from the first set-up's."""
 
 
 def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked:
@@ -603,7 +592,7 @@ def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | 
 
     The result is None if there are too few rows, or if they do not fit the arm.
     """
-    part = part.select(equally_spaced(len(part), FILE_ROWS))
+    part = part.at_most(FILE_ROWS)
     if len(part) < LEAST_ROWS:
         return None
     try:
@@ -649,32 +638,26 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], grou
     Each file has a separate scatter. The result is infinite if the fit fails. ``near`` holds each file's rows and arm
     from `_near_rows`, by the file's index from 0; ``groups`` are the set-ups.
     """
-    sets, stations = [], []
+    stations = []
     for number, (members, own) in enumerate(groups, start=1):
         rows = rows_together([near[i][0] for i in members])
-        sets.append(rows.select(equally_spaced(len(rows), SET_UP_ROWS)))
-        start = near[members[0]][1]
-        frames = {name: getattr(start, name) for name in own}
-        stations.append(InstrumentStation(sets[-1], number, **frames))
+        frames = {name: getattr(near[members[0]][1], name) for name in own}
+        stations.append(InstrumentStation(rows.at_most(SET_UP_ROWS), number, **frames))
     data = Stacked(tuple(stations))
-    equations = sum(len(rows) * rows.rows_per_pose for rows in sets)
+    row_of_each, _ = data.equations()
     model = fitted_model(arm.name, arm.nominal, False)
-    if equations < SPARE * (len(model.names) + len(data.unknowns())):
+    if len(row_of_each) < SPARE * (len(model.names) + len(data.unknowns())):
         model = frames_model(arm.nominal)
     try:
         fit = identify(model, ArmModel.of(near[groups[0][0][0]][1]), [data], max_iterations=TRIES)
     except InputError:
         return np.inf
-    owners = np.concatenate([origins_of(rows).file + 1000 * k for k, rows in enumerate(sets)])
     squares = data.residual(fit.arm_model, unknowns_of(fit, data)) ** 2
-    files = owners[data.equations()[0]]
-    total, spare = 0.0, equations / max(fit.degrees_of_freedom, 1)
-    counted = 0
-    for owner in np.unique(owners):
-        count = 3 * min(int(np.count_nonzero(owners == owner)), COUNTED_ROWS)
-        total += count * float(np.log(np.mean(squares[files == owner]) * spare))
-        counted += count
-    return total + float(np.log(counted)) * 6 * sum(len(own) for _, own in groups)
+    files, spare = data.origins.file, len(row_of_each) / max(fit.degrees_of_freedom, 1)
+    counts = {file: 3 * min(int(np.sum(files == file)), COUNTED_ROWS) for file in np.unique(files).tolist()}
+    means = {file: np.mean(squares[files[row_of_each] == file]) * spare for file in counts}
+    total = sum(count * float(np.log(means[file])) for file, count in counts.items())
+    return total + float(np.log(sum(counts.values()))) * 6 * sum(len(own) for _, own in groups)
 
 
 def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacked:
@@ -685,10 +668,7 @@ def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacke
         stations: Stations whose rows determine their frames.
         parts: The rows of each further file.
     """
-    references = [
-        replace(station, data=station.data.select(equally_spaced(len(station.data.joints), FILE_ROWS)))
-        for station in stations.stations
-    ]
+    references = [replace(station, data=station.data.at_most(FILE_ROWS)) for station in stations.stations]
     data = Stacked(tuple(references))
     model = fitted_model(arm.name, arm.nominal, False)
     fit = identify(model, ArmModel.of(robust_frames(arm, references[0].data)), [data], max_iterations=60)

@@ -22,15 +22,10 @@ from scipy.linalg import solve_triangular
 from pickenv.arm import Array, Geometry, MeasurementNoise, Pose, pose_error
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.identification import least_squares
-from pickenv.calibration.identification.least_squares import (
-    Identification,
-    identifiability,
-    identify,
-    identify_converged,
-)
+from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.noise_and_priors import LENGTHS, MADE, PriorModel, RowNoise, noise_of, stated_noise
-from pickenv.calibration.model.observations import Observations, equally_spaced
+from pickenv.calibration.model.observations import Observations
 
 PASSES = 4
 """Largest number of successive solutions; each weighs rows and priors by the residuals of the previous solution."""
@@ -81,12 +76,11 @@ def solve(
         return _without_priors(model, data)
     if not data.framed:
         model = model.without_base()
-    weights, start = noise or stated_noise(data), model.start
+    weights, start, scales = noise or stated_noise(data), model.start, dict(model.scales)
     if near is not None and near.noise is not None and near.noise.scatter.shape == weights.scatter.shape:
         weights, start = noise or near.noise, replace(start, geometry=near.geometry)
-    scales = dict(model.scales)
     if noise is None and len(data.joints) > MANY and not data.unknowns():
-        few = solve(model, data.select(equally_spaced(len(data.joints), FEW)), near=near)
+        few = solve(model, data.at_most(FEW), near=near)
         assert few.prior is not None
         start, scales = few.arm_model, dict(few.prior.scales)
         weights = noise_of(data, start, np.zeros(0), np.zeros(len(data.equations()[0])))
@@ -110,8 +104,7 @@ def solve(
                 leverage = leverages(weights.whiten(stated) * np.r_[np.full(len(unknowns), UNKNOWN_STD), weighed.width])
             weights = noise_of(data, start, unknowns, leverage)
         residual = weights.whiten(data.residual(start, unknowns))
-        columns = weights.whiten(stated)
-        means, averaged = averaged_over_scales(weighed, solution, columns, residual, free)
+        means, averaged = averaged_over_scales(weighed, solution, weights.whiten(stated), residual, free)
         scales = {**scales, **means}
         if _settled(before, (weights, scales)):
             break
@@ -144,8 +137,7 @@ def averaged_over_scales(
     scale = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
     width = np.r_[np.full(count, UNKNOWN_STD), model.std * scale][base]
     group = np.r_[np.full(count, ""), model.group][base]
-    offset = np.zeros(columns.shape[1])
-    offset[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
+    offset = np.r_[np.zeros(count), model.start.difference(solution.arm_model)[model.parameters.columns]]
     upper, right = least_squares.triangle(columns, residual)
     upper, right = upper[:, base] * width, right + upper @ offset
     gram, right = upper.T @ upper, upper.T @ right
@@ -182,12 +174,10 @@ def averaged_over_scales(
         covariance += np.einsum("n,ni,nj->ij", share, means - centre, means - centre)
         change = -offset
         change[base] += centre * width
-        delta = np.zeros(len(solution.arm_model.parameter_names))
-        delta[model.parameters.columns] = change[count:]
         unknowns = np.array([*solution.unknowns.values()]) + change[:count]
         return replace(
             solution,
-            arm_model=solution.arm_model.displaced(delta),
+            arm_model=solution.arm_model.moved(model.parameters.columns, change[count:]),
             unknowns=dict(zip(solution.unknowns, unknowns.tolist(), strict=True)),
             delta=solution.delta + change,
             covariance=np.asarray(covariance * np.outer(width, width)),
@@ -210,10 +200,9 @@ def covariance_at(found: Identification, data: Observations, share: float) -> Ar
     by_arm, by_own = data.jacobian(found.arm_model, least_squares.unknowns_of(found, data))
     names, arm_names = found.identifiability.names, found.arm_model.parameter_names
     columns = np.hstack([by_own, by_arm[:, [arm_names.index(name) for name in names[by_own.shape[1] :]]]])
-    rows = columns / found.scatter if found.noise is None else found.noise.whiten(columns)
-    independent = found.identifiability.kept
-    rows = rows[:, independent]
-    precision = rows.T @ rows / share + np.diag(found.prior_std[independent] ** -2.0)
+    kept = found.identifiability.kept
+    rows = (columns / found.scatter if found.noise is None else found.noise.whiten(columns))[:, kept]
+    precision = rows.T @ rows / share + np.diag(found.prior_std[kept] ** -2.0)
     size = np.diag(precision) ** -0.5
     return np.asarray(np.linalg.inv(precision * np.outer(size, size)) * np.outer(size, size))
 
@@ -243,17 +232,9 @@ def _without_priors(model: PriorModel, data: Observations) -> Identification:
     """Solve by rank-aware least squares; only terms' coefficients have priors, weighed by the rows' scatter."""
     if not np.isfinite(model.std).any():
         return replace(identify_converged(model.parameters, model.start, [data]), prior=model)
-    free = ~np.isfinite(model.std)
-    scatter = identify_converged(model.parameters.some(free), model.start, [data]).scatter
+    scatter = identify_converged(model.parameters.some(~np.isfinite(model.std)), model.start, [data]).scatter
     weighed = model.prior(max(scatter, 1e-9))
     return replace(identify(model.parameters, model.start, [data, weighed], max_iterations=60), prior=model)
-
-
-PRIOR = 10.0
-"""Prior standard deviation of a parameter as a multiple of its tolerance: 10 mm and 0.6 deg for geometry."""
-
-HOUR = 3600.0
-"""Seconds in an hour; drifts are stated per root hour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +260,7 @@ class FilterState:
 
 
 def start_filter(
-    model: ErrorModel, start: Geometry | ArmModel, joints: Array, *, full_pose: bool = True, prior: float = PRIOR
+    model: ErrorModel, start: Geometry | ArmModel, joints: Array, *, full_pose: bool = True, prior: float = 10.0
 ) -> FilterState:
     """Return the first state of a filter that knows only the nominal arm.
 
@@ -289,7 +270,8 @@ def start_filter(
         joints: Joints ``(N, n)``, rad or m, of poses like those to be measured. These poses decide which parameters are
             identifiable.
         full_pose: False if only positions will be measured.
-        prior: Prior standard deviation of each parameter, as a multiple of its tolerance.
+        prior: Prior standard deviation of each parameter, as a multiple of its tolerance; 10 is 10 mm and 0.6 deg for
+            geometry.
 
     Raises:
         InputError: If the poses give fewer equations than there are candidate parameters.
@@ -300,8 +282,8 @@ def start_filter(
             f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
             f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
         )
-    jacobian = arm.jacobian(joints)[:, :rows, model.columns] * model.tolerance
-    base = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
+    jacobian = (arm.jacobian(joints)[:, :rows, model.columns] * model.tolerance).reshape(-1, len(model.columns))
+    base = least_squares.identifiability(jacobian, model.names, model.tolerance, len(joints))
     tolerance = model.tolerance[base.kept]
     return FilterState(arm, model.columns[base.kept], tolerance, np.diag((prior * tolerance) ** 2))
 
@@ -325,7 +307,7 @@ def random_walk(state: FilterState, tolerances: float) -> Array:
         tolerances: Standard deviation of each parameter's drift after one hour, as a multiple of its tolerance. It
             grows with the square root of time.
     """
-    return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / HOUR)
+    return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / 3600.0)
 
 
 def update(state: FilterState, joints: ArrayLike, observed: Pose | ArrayLike, noise: MeasurementNoise) -> FilterState:
@@ -346,15 +328,13 @@ def update(state: FilterState, joints: ArrayLike, observed: Pose | ArrayLike, no
         innovation = pose_error(predicted, Pose(observed.position[None], observed.rotation[None]))[0]
     else:
         innovation = np.asarray(observed, dtype=float) - predicted.position[0]
-    rows = len(innovation)
     if not np.isfinite(innovation).all():
         raise InputError("the observed pose or its joints are not finite; leave the pose out")
-    jacobian = state.arm_model.jacobian(joints)[0, :rows][:, state.columns]
-    variance = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
+    jacobian = state.arm_model.jacobian(joints)[0, : len(innovation)][:, state.columns]
+    variance = np.repeat([noise.position_std, noise.attitude_std], 3)[: len(innovation)] ** 2
     crossed = jacobian @ state.covariance
     gain = np.linalg.solve(crossed @ jacobian.T + np.diag(variance), crossed).T
     shrink = np.eye(len(gain)) - gain @ jacobian
     covariance = shrink @ state.covariance @ shrink.T + (gain * variance) @ gain.T
-    delta = np.zeros(len(state.arm_model.parameter_names))
-    delta[state.columns] = gain @ innovation
-    return replace(state, arm_model=state.arm_model.displaced(delta), covariance=(covariance + covariance.T) / 2.0)
+    arm_model = state.arm_model.moved(state.columns, gain @ innovation)
+    return replace(state, arm_model=arm_model, covariance=(covariance + covariance.T) / 2.0)

@@ -21,7 +21,7 @@ from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.noise_and_priors import counted, expected_sizes, prior_model
-from pickenv.calibration.model.observations import Observations, contiguous_folds, equally_spaced, same_poses
+from pickenv.calibration.model.observations import Observations, contiguous_folds, same_poses
 from pickenv.calibration.model.terms import OrderTerm, PeriodicTerm, ThermalTerm, bending_of, weight_of
 
 # Least squares on contiguous blocks of rows at once: normal equations of all columns that may take part, by block.
@@ -72,10 +72,9 @@ class Linearised:
         scale = np.r_[np.ones(len(fitted)), arm.term_tolerances]
         of_fitted = (bare.scatter / bare.prior_std[bare.identifiability.kept]) ** 2
         ridge = np.r_[of_fitted, (bare.scatter / expected_sizes(arm)) ** 2]
-        offset = np.zeros(len(fitted))
-        if bare.prior is not None:
-            change = dict(zip(bare.geometry.parameter_names, bare.prior.start.difference(bare.arm_model), strict=True))
-            offset = np.array([change.get(name, 0.0) for name in fitted])
+        change = np.zeros(0) if bare.prior is None else bare.prior.start.difference(bare.arm_model)
+        change_of = dict(zip(bare.geometry.parameter_names, change.tolist(), strict=False))
+        offset = np.array([change_of.get(name, 0.0) for name in fitted])
         pull = np.r_[-of_fitted * offset, np.zeros(len(scale) - len(offset))]
         return Linearised(arm, bare.unknowns, names, scale, ridge, pull, tuple(blocks))
 
@@ -86,9 +85,8 @@ class Linearised:
 
     def coefficients_of(self, term: int) -> Places:
         """Return the indices, among the parameters, of the coefficients of the term with index ``term`` (from 0)."""
-        counts = [len(member.names(self.arm.geometry)) for member in self.arm.terms]
-        first = len(self.fitted) + sum(counts[:term])
-        return np.arange(first, first + counts[term])
+        ends = np.cumsum([len(self.fitted), *(len(member.names(self.arm.geometry)) for member in self.arm.terms)])
+        return np.arange(ends[term], ends[term + 1])
 
     def equations(self, data: Observations) -> tuple[Array, Array]:
         """Return the equations of a data set, linearised at the fitted geometry.
@@ -192,12 +190,7 @@ ROWS_EACH = 8
 """Number of rows needed for each harmonic."""
 
 WITHIN = 0.03
-"""Of all numbers of harmonics, the smallest one is taken whose error on the held-out blocks exceeds the least error by
-at most this share."""
-
-ROUNDS = 3
-"""Number of Gauss-Newton steps that refine the orders."""
-
+"""The fewest harmonics are taken whose error on held-out blocks exceeds the least error by at most this share."""
 
 Harmonic = tuple[int, float, float | None, float, float]
 """An identified harmonic of a joint's drive: joint, order, uncertainty of the order, amplitude, uncertainty of the
@@ -208,23 +201,18 @@ m."""
 
 def harmonics_of(found: Identification) -> list[Harmonic]:
     """Return the identified harmonics, in order of decreasing amplitude."""
-    model, names_fitted = found.arm_model, found.identifiability.kept_names
-    place = {name: i for i, name in enumerate(names_fitted)}
+    model, fitted = found.arm_model, found.identifiability.kept_names
     names = model.parameter_names[len(model.geometry.parameter_names) :]
     value = dict(zip(names, model.coefficients, strict=True))
     harmonics: list[Harmonic] = []
-    for term in model.terms:
-        if not isinstance(term, PeriodicTerm):
-            continue
-        parts = term.names(model.geometry)
+    for term in (term for term in model.terms if isinstance(term, PeriodicTerm)):
         stds = term.order_std or (None,) * len(term.orders)
-        for i, (joint, order, std) in enumerate(zip(term.joints, term.orders, stds, strict=True)):
-            pair = parts[2 * i : 2 * i + 2]
-            wave = np.array([value[name] for name in pair])
-            amplitude = float(np.hypot(*wave))
-            fitted = [k for k, name in enumerate(pair) if name in place]
-            rows = [place[pair[k]] for k in fitted]
-            slope = wave[fitted] / max(amplitude, 1e-300)
+        pairs = np.reshape(term.names(model.geometry), (-1, 2)).tolist()
+        for pair, joint, order, std in zip(pairs, term.joints, term.orders, stds, strict=True):
+            amplitude = float(np.hypot(*(value[name] for name in pair)))
+            parts = [name for name in pair if name in fitted]
+            rows = [fitted.index(name) for name in parts]
+            slope = np.array([value[name] for name in parts]) / max(amplitude, 1e-300)
             variance = float(slope @ found.covariance[np.ix_(rows, rows)] @ slope)
             harmonics.append((joint, order, std, amplitude, float(np.sqrt(variance))))
     return sorted(harmonics, key=lambda item: -item[3])
@@ -301,8 +289,7 @@ def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tu
         candidates: Indices, from 0, of the sine and cosine columns of each candidate ``(M, 2)``.
     """
     of_each, right_of_each, squares_of_each = equations.normal
-    rows = sum(len(block.joints) for block in equations.blocks)
-    most = min(MOST, rows // ROWS_EACH, len(candidates))
+    most = min(MOST, sum(len(block.joints) for block in equations.blocks) // ROWS_EACH, len(candidates))
     squares, paths = np.zeros(most + 1), []
     for block in range(len(equations.blocks)):
         matrix, right = equations.without(block)
@@ -332,7 +319,7 @@ def refined(
     """
     grid = orders = np.array(wave.orders)
     std = np.zeros(len(grid))
-    for _ in range(ROUNDS):
+    for _ in range(3):  # Gauss-Newton steps
         wave = PeriodicTerm(wave.joints, tuple(orders.tolist()))
         linear = Linearised.of(bare, (*others, wave))
         solution = _solution_with_priors(linear, observations)[-1]
@@ -364,7 +351,6 @@ def _solution_with_priors(linear: Linearised, observations: Observations) -> tup
 MARGIN = 0.03
 """Terms must cut the cross-validated RMS by more than this share."""
 
-FOLDS = 5
 ROWS = 1500
 """Largest number of training rows, equally spaced, on which terms are chosen."""
 
@@ -415,9 +401,7 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
     scores = {"none": trial.score(())}
 
     def wins(wider: tuple[str, ...], than: tuple[str, ...]) -> bool:
-        for names in (wider, than):
-            if _joined(names) not in scores:
-                scores[_joined(names)] = trial.score(names)
+        scores.update({_joined(names): trial.score(names) for names in (wider, than) if _joined(names) not in scores})
         return scores[_joined(wider)] < (1.0 - MARGIN) * scores[_joined(than)]
 
     temperature = observations.conditions.temperature
@@ -512,7 +496,7 @@ class _Trial:
     @staticmethod
     def of(arm: Arm, bare: Identification, observations: Observations, names: tuple[str, ...] | None = None) -> _Trial:
         """Return a trial of the terms ``names``, some of `NAMES`; if None, of all terms that arm and data allow."""
-        data = observations.select(equally_spaced(len(observations.joints), ROWS))
+        data = observations.at_most(ROWS)
         if names is None:
             missing = {
                 "bending": arm.load is None,
@@ -520,12 +504,11 @@ class _Trial:
                 "thermal": data.conditions.temperature is None,
             }
             names = tuple(name for name in NAMES if not missing.get(name))
-        folds = [fold for _, fold in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
+        folds = [fold for _, fold in contiguous_folds(data.groups, same_poses(data.joints), folds=5)]
         every = counted(data.joints)
-        counts = tuple(every[fold] for fold in folds)
         terms = tuple(plain_term(name, arm, data) for name in names)
         equations = Linearised.of(bare, terms, [data.select(fold) for fold in folds])
-        return _Trial(bare, data, names, equations, counts)
+        return _Trial(bare, data, names, equations, tuple(every[fold] for fold in folds))
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
         """Return indices, from 0, of the parameters that are fitted with the terms ``names``.
@@ -547,8 +530,7 @@ class _Trial:
         """Compute the RMS miss, m, with the named terms over all blocks; each is predicted by a fit to the others."""
         squares, counts = 0.0, 0.0
         for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
-            solution = solved(*self.equations.without(number), places)
-            missed = self.equations.misses(block, solution)
+            missed = self.equations.misses(block, solved(*self.equations.without(number), places))
             count = self.counts[number][block.rows_of_misses]
             squares, counts = squares + float(count @ np.sum(missed**2, axis=1)), counts + float(count.sum())
         return float(np.sqrt(squares / counts))
@@ -565,8 +547,7 @@ class _Trial:
                 near = nearby(wave)
                 fine = Linearised.of(self.bare, (*others, near), self.equations.blocks)
                 places = fine.coefficients_of(len(others))
-                base = np.arange(places[0])
-                _, fine_places = chosen_orders(fine, base, places.reshape(-1, 2))
+                _, fine_places = chosen_orders(fine, np.arange(places[0]), places.reshape(-1, 2))
                 wave = near.some(np.sort(fine_places[::2] - places[0]) // 2)
                 if wave.orders:
                     terms["periodic"] = refined(wave, others, self.bare, self.data)

@@ -204,6 +204,12 @@ class ArmModel:
         geometry = self.geometry.displaced(delta[:count])
         return replace(self, geometry=geometry, coefficients=self.coefficients + delta[count:])
 
+    def moved(self, columns: NDArray[np.int64], change: Array) -> ArmModel:
+        """Return this model with ``change`` ``(p,)`` added to the parameters with the indices ``columns`` ``(p,)``."""
+        delta = np.zeros(len(self.parameter_names))
+        delta[columns] = change
+        return self.displaced(delta)
+
     def difference(self, other: ArmModel) -> Array:
         """Return the ``delta`` for which ``self.displaced(delta)`` has the parameters of ``other``."""
         return np.concatenate([self.geometry.difference(other.geometry), other.coefficients - self.coefficients])
@@ -259,12 +265,9 @@ def complete_model(geometry: Geometry) -> ErrorModel:
     It has base and tool pose, the MDH parameters, and Hayati's beta between parallel axes and for joints whose beta the
     table gives.
     """
-    names = geometry.parameter_names
-    frames = [name for name in names if name.startswith(("base_", "tool_"))]
-    links = _link_names(geometry)
     parallel = (np.abs(np.sin(geometry.alpha)) < NEARLY_PARALLEL) | (geometry.beta != 0.0)
     betas = [f"beta{i}" for i in range(1, geometry.links) if parallel[i]]
-    return _model(geometry, frames + links + betas)
+    return frames_model(geometry).joined(_model(geometry, _link_names(geometry) + betas))
 
 
 def frames_model(geometry: Geometry) -> ErrorModel:
@@ -300,8 +303,7 @@ def _link_names(geometry: Geometry) -> list[str]:
 
 def _model(geometry: Geometry, names: list[str]) -> ErrorModel:
     """Return the model of the parameters with these names, in this order."""
-    index = {name: i for i, name in enumerate(geometry.parameter_names)}
-    columns = np.array([index[name] for name in names])
+    columns = np.array([geometry.parameter_names.index(name) for name in names])
     tolerance = np.where(geometry.parameter_is_angle[columns], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
     return ErrorModel(columns, tuple(names), tolerance)
 
@@ -363,8 +365,6 @@ def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
 def joints_of_finished_poses(poses: Pose) -> Array:
     """Return the joints ``(N, 6)``, m and rad, at which the tool of `pose_carrier` has the poses ``poses`` ``(N,)``."""
     geometry = pose_carrier().nominal
-    zero = forward(geometry, np.zeros(6))
     along = np.stack([forward(geometry, row).position for row in np.eye(6)[:3]], axis=1)
-    slides = np.linalg.solve(along, poses.position.T).T
-    angles = Rotation.from_matrix(zero.rotation.T @ poses.rotation).as_euler("ZYZ")
-    return np.concatenate([slides, angles * (1.0, -1.0, 1.0)], axis=1)
+    angles = Rotation.from_matrix(forward(geometry, np.zeros(6)).rotation.T @ poses.rotation).as_euler("ZYZ")
+    return np.concatenate([np.linalg.solve(along, poses.position.T).T, angles * (1.0, -1.0, 1.0)], axis=1)

@@ -579,9 +579,8 @@ class TiltObservations(Observations):
     def numbers(self) -> Stated:
         """Components of the axes, then of the down direction."""
         count = self.components.shape[1]
-        names = [f"axis{i + 1}_{axis}" for i in range(count) for axis in "xyz"]
         return Stated(
-            (*names, "down_x", "down_y", "down_z"),
+            (*[f"axis{i + 1}_{axis}" for i in range(count) for axis in "xyz"], "down_x", "down_y", "down_z"),
             np.concatenate([np.eye(3)[:count].ravel(), DOWN]),
             np.repeat([self.axes_std, self.down_std], [3 * count, 3]),
             np.full(3 * count + 3, ANGLE_TOLERANCE),
@@ -607,8 +606,7 @@ class TiltObservations(Observations):
             sign = 1.0 if u[2, 0] < 0.0 else -1.0  # the other answer hangs the arm from the ceiling
             down, axes = sign * u[:, 0], sign * vt[0].reshape(count, 3)
         elif self.down_std:
-            matrix = np.concatenate([rotation @ axis for axis in axes])
-            down = steady_solution(matrix, self.components.T.ravel())
+            down = steady_solution(np.concatenate([rotation @ axis for axis in axes]), self.components.T.ravel())
         elif self.axes_std:
             local = np.swapaxes(rotation, 1, 2) @ down
             axes = np.array([steady_solution(local, reading) for reading in self.components.T])

@@ -299,9 +299,6 @@ FRAME_TOLERANCES = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
 ALIKE = 0.1
 """Data sets whose uncertainties differ by no more than this share count as measured by one instrument."""
 
-WIDEST = 3
-"""Number of components of a miss (measured minus predicted) in mixed data; shorter misses are padded with zeros."""
-
 
 @dataclass(frozen=True, eq=False)
 class InstrumentStation:
@@ -507,7 +504,7 @@ class Stacked(Observations):
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Return the misses of all stations ``(R, 3)``, m; misses with fewer components are padded with zeros."""
         parts = [station.data.misses(*station.seen(model, values)) for station, values in self._with(unknowns)]
-        return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in parts])
+        return np.concatenate([np.pad(part, ((0, 0), (0, 3 - part.shape[1]))) for part in parts])
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
         """Return derivatives ``(E, 6)`` of all equations, each with respect to the tool pose of its own station."""

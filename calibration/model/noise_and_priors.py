@@ -53,21 +53,16 @@ USUAL = 0.75
 """Quantile of the neighbour counts that is taken as the usual count; a cluster of rows counts as one row in it."""
 
 FREE = 0.25
-"""Share of the rows that keep full weight when rows are weighed by their neighbour counts; a cluster counts as one
-row."""
+"""Share of the rows that keep full weight when rows are weighed by their neighbours; a cluster counts as one row."""
 
 WORTH = 3.0
 """Log-likelihood ratio above which neighbours count as having like errors."""
 
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
-"""Largest numbers of equally spaced rows: of rows for the fit of length and share, and of rows searched for
-neighbours."""
+"""Largest numbers of equally spaced rows, for the fit of length and share, and to search for neighbours."""
 
 LEAST_SPARE = 0.05
 """Least share of an equation that counts as a degree of freedom of the scatter, however large its leverage is."""
-
-ROUNDS = 40
-"""Number of iterations of expectation maximisation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +129,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
     spare = np.clip(1.0 - leverage, LEAST_SPARE, 1.0)
     for channel in range(len(sizes)):
         member = read & (channels == channel)
-        if member.any():
-            sizes[channel] = np.sqrt((STATED + np.sum(residual[member] ** 2)) / (STATED + np.sum(spare[member])))
+        sizes[channel] = np.sqrt((STATED + np.sum(residual[member] ** 2)) / (STATED + np.sum(spare[member])))
     scatter = np.where(read, sizes[channels], 1.0)
     if many.any():
         tool = data.by_tool(model, unknowns)
@@ -144,8 +138,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
     if not share:
         return RowNoise(scatter, sizes)
     like = neighbours(data.joints, length)
-    usual = _usual(like, USUAL)
-    common = 1.0 - share + share * usual
+    common = 1.0 - share + share * _usual(like, USUAL)
     closer = np.maximum((1.0 - share + share * like) / common, 1.0)
     return RowNoise(np.where(read, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
 
@@ -181,9 +174,9 @@ def _usual(like: Array, share: float) -> float:
         like: Effective number of neighbours of each row ``(N,)``, from `neighbours`.
         share: The quantile.
     """
-    order = np.argsort(like)
-    facts = np.cumsum(1.0 / like[order])
-    return float(like[order][np.searchsorted(facts, share * facts[-1])])
+    like = np.sort(like)
+    facts = np.cumsum(1.0 / like)
+    return float(like[np.searchsorted(facts, share * facts[-1])])
 
 
 def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:
@@ -198,16 +191,13 @@ def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:
         return 0.0, 0.0
     columns = white.reshape(len(joints), -1)
     some = equally_spaced(len(joints), PROCESS_ROWS)
-    joints, columns = joints[some], columns[some]
-    apart = cdist(joints, joints, "sqeuclidean")
-    best, choice = _log_likelihood(np.eye(len(some)), columns) + WORTH, (0.0, 0.0)
+    columns, apart = columns[some], cdist(joints[some], joints[some], "sqeuclidean")
+    alone = np.eye(len(some))
+    values = {(0.0, 0.0): _log_likelihood(alone, columns) + WORTH}
     for length in SCALES_OF_LIKENESS:
-        kernel = np.exp(-0.5 * apart / length**2)
-        for share in SHARES:
-            value = _log_likelihood(share * kernel + (1.0 - share) * np.eye(len(some)), columns)
-            if value > best:
-                best, choice = value, (share, length)
-    return choice
+        like = np.exp(-0.5 * apart / length**2)
+        values |= {(share, length): _log_likelihood(share * like + (1.0 - share) * alone, columns) for share in SHARES}
+    return max(values, key=values.__getitem__)
 
 
 def _log_likelihood(covariance: Array, columns: Array) -> float:
@@ -241,10 +231,10 @@ def _of_pictures(
     square = np.array([residual[at] @ residual[at] for at in places])
     count = np.array([len(at) for at in places], dtype=float)
     spare = max(1.0 - leverage[many].sum() / (POSE * len(places)), LEAST_SPARE)
-    white = sizes[channel] ** 2
     bound = np.sqrt(np.trace(gram, axis1=1, axis2=2).mean() / POSE)
     pose = (np.ones(POSE) / max(bound, 1e-300)) ** 2
-    for _ in range(ROUNDS):
+    for _ in range(40):  # rounds of expectation maximisation
+        white = sizes[channel] ** 2
         covariance = np.linalg.inv(gram / white[:, None, None] + np.diag(1.0 / pose))
         mean = (covariance @ (right / white[:, None])[..., None])[..., 0]
         second = covariance + mean[:, :, None] * mean[:, None, :]
@@ -254,14 +244,12 @@ def _of_pictures(
         for k in np.unique(channel):
             views = channel == k
             sizes[k] = np.sqrt((STATED + remains[views].sum()) / (STATED + count[views].sum()))
-        white = sizes[channel] ** 2
     shared = []
     for at, size in zip(places, sizes[channel], strict=True):
         scatter[at] = size
         basis, strength, _ = np.linalg.svd(tool[at] * np.sqrt(pose) / size, full_matrices=False)
         shared.append((at, basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)))
-    std = float(np.sqrt(pose[0])), float(np.sqrt(pose[3]))
-    return RowNoise(scatter, sizes, shared=tuple(shared), pose_std=std)
+    return RowNoise(scatter, sizes, shared=tuple(shared), pose_std=(float(np.sqrt(pose[0])), float(np.sqrt(pose[3]))))
 
 
 FitWord = Literal["auto", "offsets", "full"]
@@ -278,16 +266,11 @@ FRAME_STD = 10.0
 TOLD = 0.1
 """Limit up to which the rows determine a parameter of base or tool, as a share of `FRAME_STD`."""
 
-COEFFICIENT = 1.0
-"""Prior standard deviation of a term's coefficient, as a multiple of its tolerance (1 mm or 1 mrad at the tool)."""
-
 ANY_STIFFNESS = 100.0
-"""Prior standard deviation of a compliance, as a multiple of its tolerance: every stiffness above 100 N*m/rad or 1 kN/m
-is plausible."""
+"""Prior standard deviation of a compliance, in tolerances: any stiffness above 100 N*m/rad or 1 kN/m is plausible."""
 
 FRAMES, ZEROS, LENGTHS, ANGLES, TERMS = "frames", "zeros", "lengths", "angles", "terms"
-"""Groups of parameters: base and tool of unknown pose, joint zeros, lengths and angles of parts, terms'
-coefficients."""
+"""Groups of parameters: base and tool if unknown, joint zeros, lengths and angles of parts, terms' coefficients."""
 
 MADE = (ZEROS, LENGTHS, ANGLES)
 """Groups whose prior widths come from a tolerance class; a factor on each group's widths is estimated from the rows."""
@@ -418,9 +401,9 @@ def prior_model(
         std = np.full(len(parameters.names), np.inf)
         return PriorModel(parameters, start, std, _groups(parameters, geometry, known), "none: any value is as likely")
     expected = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)
-    zeros = arm_model.joint_zeros_model(geometry)
     parameters = arm_model.complete_model(geometry)
     if fit == "offsets":
+        zeros = arm_model.joint_zeros_model(geometry)
         parameters = zeros if known else frames_model(geometry).joined(zeros)
     group = _groups(parameters, geometry, known)
     std = np.where(group == FRAMES, FRAME_STD, standard_deviations(expected, geometry)[parameters.columns])
@@ -429,10 +412,12 @@ def prior_model(
 
 
 def expected_sizes(model: ArmModel) -> Array:
-    """Return prior standard deviations of the terms' coefficients ``(k,)``, as multiples of their tolerances."""
-    counts = [len(term.names(model.geometry)) for term in model.terms]
-    sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else COEFFICIENT for term in model.terms]
-    return np.repeat(sizes, counts)
+    """Return prior standard deviations of the terms' coefficients ``(k,)``, as multiples of their tolerances.
+
+    They are 1, which is 1 mm or 1 mrad at the tool, but `ANY_STIFFNESS` for compliances.
+    """
+    sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else 1.0 for term in model.terms]
+    return np.repeat(sizes, [len(term.names(model.geometry)) for term in model.terms])
 
 
 def never_told(names: Sequence[str], covariance: Array) -> list[str]:

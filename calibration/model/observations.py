@@ -110,9 +110,8 @@ class Origins:
     scene: tuple[str, str] = ("", "")
     repeat: float | None = None
 
-    def select(self, rows: ArrayLike) -> Origins:
+    def select(self, rows: NDArray[Any]) -> Origins:
         """Return the origins of the given rows (indices or a mask)."""
-        rows = np.asarray(rows)
         return replace(self, file=self.file[rows], line=self.line[rows])
 
     def place(self, row: int) -> tuple[str, int]:
@@ -434,9 +433,12 @@ class Observations:
     def select(self, rows: ArrayLike) -> Self:
         """Return the data set of only the given rows (indices or a mask)."""
         rows = np.asarray(rows)
-        origins = origins_of(self).select(rows)
-        changed = {"joints": self.joints[rows], "conditions": self.conditions.select(rows), "origins": origins}
-        return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
+        changed = {"conditions": self.conditions.select(rows), "origins": origins_of(self).select(rows)}
+        return replace(self, joints=self.joints[rows], **changed, **self._arrays(rows))  # type: ignore[type-var]
+
+    def at_most(self, rows: int) -> Self:
+        """Return the data set of at most this number of rows, equally spaced."""
+        return self.select(equally_spaced(len(self.joints), rows))
 
     def imagined(self, joints: Array) -> Self:
         """Return a data set of the same instrument at other joints ``(M, n)``, rad or m.
@@ -502,8 +504,7 @@ SAME_POSE = 2e-4
 reached again, or written with two decimals, differ by less."""
 
 PATH = 10 * SAME_POSE
-"""Extent of a chain of near rows, rad or m, above which the chain is a path that was followed slowly, and not a
-pose."""
+"""Extent of a chain of near rows, rad or m, above which it is a path that was followed slowly, and not a pose."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:
@@ -590,7 +591,7 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
     if not observations.groups.any():
         return random_split(poses, most, rng)
     home = home_groups(observations.groups, poses)
-    train, test = [], []
+    splits = []
     for number in np.unique(home):
         rows = np.flatnonzero(home == number)
         share = max(1, round(most * len(rows) / count))
@@ -599,10 +600,10 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
                 f"{observations.source}: socket or station {number + 1} has {len(rows)} rows, too few to hold "
                 f"{share} of them out"
             )
-        training, held_out = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
-        train.append(rows[training])
-        test.append(rows[held_out])
-    return np.concatenate(train), np.concatenate(test)
+        split = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
+        splits.append([rows[part] for part in split])
+    train, test = map(np.concatenate, zip(*splits, strict=True))
+    return train, test
 
 
 def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows]:
@@ -629,10 +630,8 @@ def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows
     begin = round(0.35 * count - first / 2), round(0.75 * count - second / 2)
     if begin[0] < 0 or begin[0] + first > begin[1] or begin[1] + second > count:
         raise InputError(f"{test_rows} of {rows} rows cannot be held out as two separate blocks; hold out fewer")
-    held_out = np.zeros(count, dtype=bool)
-    for start, length in zip(begin, (first, second), strict=True):
-        held_out[start : start + length] = True
-    return np.flatnonzero(~held_out[poses]), np.flatnonzero(held_out[poses])
+    held_out = np.isin(poses, [*range(begin[0], begin[0] + first), *range(begin[1], begin[1] + second)])
+    return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
 def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, Rows]]:

@@ -33,8 +33,6 @@ LENS_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 SCALES = np.array([1.0, 1.0, 1.0, 1.0, 2e-3, 3e-3, 5e-4, 5e-4, 5e-3])
 """Scales of the deviations of a lens' numbers: each moves a corner at a picture's edge by about a pixel."""
 
-UNDISTORTING_STEPS = 30
-
 
 @dataclass(frozen=True, eq=False)
 class Lens:
@@ -82,7 +80,7 @@ def distorted(values: Array, ideal: Array) -> Array:
 def undistorted(values: Array, pixels: Array) -> Array:
     """Return the slopes x / z and y / z ``(..., 2)``, without distortion, of the rays that the lens maps to pixels.
 
-    The distortion is inverted by fixed-point iteration.
+    The distortion is inverted by 30 steps of fixed-point iteration.
 
     Args:
         values: The lens' numbers ``(9,)``, in the order of `LENS_NAMES`.
@@ -90,7 +88,7 @@ def undistorted(values: Array, pixels: Array) -> Array:
     """
     slopes = (pixels - values[2:4]) / values[:2]
     ideal = slopes
-    for _ in range(UNDISTORTING_STEPS):
+    for _ in range(30):
         ideal = ideal + slopes - distorted(values, ideal)
     return np.asarray(ideal)
 
@@ -137,8 +135,7 @@ def by_values(values: Array, points: Array) -> Array:
 
 
 SLANT = 0.5
-"""Cosine of 60 deg, the largest angle between a line of sight and a board's normal at which its corners are
-detected."""
+"""Cosine of 60 deg, the largest angle between line of sight and board's normal at which corners are detected."""
 
 Mount = Literal["hand", "world"]
 """Place of the camera: "hand" on the arm's tool, or "world" fixed in the world, with the board on the tool."""

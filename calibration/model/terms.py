@@ -192,13 +192,24 @@ class GravityTerm(JointTerm):
     up: tuple[float, float, float]
     payload: bool = False
 
+    @lru_cache(maxsize=16)  # noqa: B019 (asked for at every step of a corrected arm)
     def moments(self, geometry: Geometry) -> tuple[tuple[int, int, str], ...]:
         """Return the joint, link (indices from 0) and moment of each coefficient.
 
         Moment "m" is the mass at the link's origin; "x", "y" and "z" are the link's first moments; "p" is the payload
         at the tool.
         """
-        return _moments(self, geometry)
+        moments: list[tuple[int, int, str]] = []
+        for i in self.joints:
+            driven = [link for link, _ in geometry.links_of(i)]
+            if all(geometry.slides[link] for link in driven):
+                moments += [(i, link, "m") for link in driven]
+            else:
+                links = [j for j, ratio in enumerate(geometry.ratios) if ratio and geometry.carries(driven[0], j)]
+                moments += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (driven[0], "m")]
+            if self.payload:
+                moments.append((i, geometry.links, "p"))
+        return tuple(moments)
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """Return the coefficients' names, such as gravity2_3x: joint and link (both counted from 1), and moment."""
@@ -373,22 +384,6 @@ def weight_of(geometry: Geometry, payload: bool = False) -> GravityTerm:
     return GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), payload)
 
 
-@lru_cache(maxsize=16)  # asked for at every step of a corrected arm
-def _moments(term: GravityTerm, geometry: Geometry) -> tuple[tuple[int, int, str], ...]:
-    """Return the joint, link and moment of each coefficient, as `GravityTerm.moments` describes them; cached."""
-    moments: list[tuple[int, int, str]] = []
-    for i in term.joints:
-        driven = [link for link, _ in geometry.links_of(i)]
-        if all(geometry.slides[link] for link in driven):
-            moments += [(i, link, "m") for link in driven]
-        else:
-            links = [j for j, ratio in enumerate(geometry.ratios) if ratio and geometry.carries(driven[0], j)]
-            moments += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (driven[0], "m")]
-        if term.payload:
-            moments.append((i, geometry.links, "p"))
-    return tuple(moments)
-
-
 KINDS: dict[str, type] = {
     "bending": BendingTerm,
     "compliance": ComplianceTerm,
@@ -416,12 +411,11 @@ def term_from(content: Mapping[str, Any]) -> Term:
         InputError: If the content is from an older version and has link masses, which this version does not support.
     """
     numbers = _tuples(content)
-    kind = KINDS[numbers.pop("kind")]
     if numbers.pop("load", None) is not None:  # null in nearly all older files
         raise InputError("its compliance has link masses of its own, which pickenv no longer knows; calibrate anew")
     if numbers.get("weight"):
         numbers["weight"] = GravityTerm(**numbers["weight"])
-    term: Term = kind(**numbers)
+    term: Term = KINDS[numbers.pop("kind")](**numbers)
     return term
 
 

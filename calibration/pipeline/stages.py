@@ -646,7 +646,7 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[GateVerdict, ...]:
     """Judge the residual models ``names`` within the training poses or positions ``train``; return their verdicts."""
-    data = train.select(observations.equally_spaced(len(train), GATE_ROWS))
+    data = train.at_most(GATE_ROWS)
     name, best = draft.best
     expected, fitted = best.identification.prior, best.identification.arm_model
     assert expected is not None

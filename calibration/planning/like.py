@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +38,10 @@ LEAST_SEEN = 0.5
 """Least share of a board's corners that must be in the picture at a candidate."""
 
 WARY = 3.0
-"""Margin of the picture in which no predicted corner counts as seen, as a multiple of the first views' RMS pixel
-error."""
+"""Margin of the picture, in RMS pixel errors of the first views, in which no predicted corner counts as seen."""
 
 FOCUS = 1.5
-"""Largest factor by which a board may be farther off than in the farthest first view, or nearer than in the nearest
-first view."""
+"""Largest factor by which a board may be farther off, or nearer, than in any of the first views."""
 
 
 First = tuple[Observations, ArmModel, Array]
@@ -254,8 +251,7 @@ def plan_like(
         design,
         count,
         rng,
-        drawn=cache(lambda size: np.stack([rng.choice(len(joints), size, replace=False) for _ in range(plan.DRAWS)])),
-        rows_at=design.rows.__getitem__,
+        random_rows=lambda size: (design.rows[rng.choice(len(joints), size, False)] for _ in range(plan.DRAWS)),
         criterion=criterion,
         goal=plan.error_weight(model.geometry, design, joints if test_joints is None else test_joints),
         where="at the candidates" if test_joints is None else "at the test poses",

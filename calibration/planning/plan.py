@@ -9,7 +9,7 @@ is then the error that a calibration will state. SI units.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from operator import itemgetter
@@ -32,11 +32,7 @@ from pickenv.calibration.model.noise_and_priors import FRAMES, PriorModel
 # at once.
 
 RIDGE = 1e-9
-"""Information that is added in every direction of the parameters, so that inverses exist, as a share of the mean
-information of a candidate."""
-
-MAX_PASSES = 20
-"""Largest number of rounds of exchange through the chosen poses; three to six are usual."""
+"""Information added in every direction so that inverses exist, as a share of a candidate's mean information."""
 
 
 def exchange(
@@ -44,7 +40,7 @@ def exchange(
     count: int,
     rng: np.random.Generator,
     weight: Array | None = None,
-    most_passes: int = MAX_PASSES,
+    most_passes: int = 20,
     *,
     known: Array | None = None,
 ) -> tuple[NDArray[np.int64], int]:
@@ -55,7 +51,8 @@ def exchange(
         count: Number of candidates to choose.
         rng: Draws the order of exchanges.
         weight: Matrix W ``(p, p)``, to minimise trace(W M^-1) for the information matrix M; None for D-optimality.
-        most_passes: Largest number of rounds of exchange; with 0 the candidates come in the order of their addition.
+        most_passes: Largest number of rounds of exchange; three to six are usual. With 0 the candidates come in the
+            order of their addition.
         known: Information ``(p, p)`` that exists already, from priors or from rows measured before.
 
     Returns:
@@ -76,14 +73,14 @@ def exchange(
         passes, changing = passes + 1, False
         for place in rng.permutation(count):
             old = places[place]
+            taken[old] = False
             without = information - rows[old].T @ rows[old]
             value = np.where(taken, -np.inf, gains(rows, without, weight))
-            value[old] = gains(rows[[old]], without, weight)[0]
             best = int(np.argmax(value))
             if value[best] > value[old] + 1e-9 * abs(value[old]):
                 places[place], changing = best, True
-                taken[old], taken[best] = False, True
                 information = without + rows[best].T @ rows[best]
+            taken[places[place]] = True
     return np.array(places), passes
 
 
@@ -105,8 +102,7 @@ def gains(rows: Array, information: Array, weight: Array | None) -> Array:
     inner[..., np.arange(rows.shape[1]), np.arange(rows.shape[1])] += 1.0
     if weight is None:
         return np.asarray(2.0 * np.log(np.linalg.cholesky(inner).diagonal(axis1=-2, axis2=-1)).sum(axis=-1))
-    aimed = half @ (root.T @ weight @ root)
-    outer = aimed @ np.swapaxes(half, -1, -2)
+    outer = (half @ (root.T @ weight @ root)) @ np.swapaxes(half, -1, -2)
     return np.asarray(np.trace(np.linalg.solve(inner, outer), axis1=-2, axis2=-1))
 
 
@@ -155,11 +151,10 @@ def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
 
     Poses are indices from 0; ``cost`` holds the times between each two poses ``(N, N)``, s.
     """
-    ahead = np.ones(len(cost), dtype=bool)
-    way = [start]
+    cost, way = cost.copy(), [start]
     for _ in range(1, len(cost)):
-        ahead[way[-1]] = False
-        way.append(int(np.argmin(np.where(ahead, cost[way[-1]], np.inf))))
+        cost[:, way[-1]] = np.inf
+        way.append(int(np.argmin(cost[way[-1]])))
     return np.array(way)
 
 
@@ -293,12 +288,10 @@ class PosePlan:
         plain = ("criterion", "where", "travel_seconds", "random_travel_seconds", "passes", "seconds")
         figures |= {name: getattr(self, name) for name in plain}
         if self.model is not None:
-            figures |= {"arm": self.arm, "model": self.model}
-            for key in ("condition", "random_condition", "o1_ratio"):
-                figures[key] = None if self.arm is None else self.arm[key]
-        if self.predicted_error is not None and self.random_predicted_error is not None:
-            figures["predicted_error_mm"] = self.predicted_error * 1e3
-            figures["random_predicted_error_mm"] = self.random_predicted_error * 1e3
+            copied = ("condition", "random_condition", "o1_ratio")
+            figures |= {"arm": self.arm, "model": self.model} | {key: self.arm and self.arm[key] for key in copied}
+        errors = {name: getattr(self, name) for name in ("predicted_error", "random_predicted_error")}
+        figures |= {f"{name}_mm": value * 1e3 for name, value in errors.items() if value is not None}
         if self.lines is not None:
             figures["lines"] = self.lines.tolist()
         if self.curve:
@@ -360,16 +353,12 @@ def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator) -
     joints = rng.uniform(lower, upper, (count, geometry.joints))
     side = rng.random(joints.shape)
     at_border = (np.arange(count) >= count // 2)[:, None]
-    joints = np.where(at_border & (side < AT_LIMIT / 2), lower, joints)
-    return np.asarray(np.where(at_border & (side > 1 - AT_LIMIT / 2), upper, joints))
+    ends = [at_border & (side < AT_LIMIT / 2), at_border & (side > 1 - AT_LIMIT / 2)]
+    return np.select(ends, [lower, upper], joints)
 
 
 def design_of(
-    geometry: Geometry,
-    model: ErrorModel | PriorModel,
-    joints: Array,
-    kind: str = "pose",
-    position_std: float = POSITION_STD,
+    geometry: Geometry, model: ErrorModel | PriorModel, joints: Array, kind: str, position_std: float = POSITION_STD
 ) -> Design:
     """Return the design of the candidates, for all parameters if these have priors, else for an identifiable base set.
 
@@ -389,8 +378,7 @@ def design_of(
     if isinstance(model, PriorModel):
         information = np.diag((parameters.tolerance / model.width) ** 2)
         return Design(joints, rows, parameters, weight, kind, information, framed=bool((model.group == FRAMES).any()))
-    triangle = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
-    r, order = qr(triangle, mode="r", pivoting=True)
+    r, order = qr(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"), mode="r", pivoting=True)
     diagonal = np.abs(np.diag(r))
     columns = np.sort(order[: int(np.sum(diagonal > REDUNDANCY_TOLERANCE * diagonal[0]))])
     base = parameters.some(np.isin(np.arange(len(order)), columns))
@@ -495,8 +483,7 @@ def plan_poses(
         design,
         count,
         rng,
-        drawn=drawn,
-        rows_at=lambda joints: _rows(geometry, design.model, design.weight, joints),
+        random_rows=lambda size: (_rows(geometry, design.model, design.weight, joints) for joints in drawn(size)),
         criterion=criterion,
         goal=error_weight(geometry, design, field),
         where="over the joint ranges" if test_joints is None else "at the test poses",
@@ -519,8 +506,7 @@ def finished_plan(
     count: int,
     rng: np.random.Generator,
     *,
-    drawn: Callable[[int], Array],
-    rows_at: Callable[[Array], Array],
+    random_rows: Callable[[int], Iterable[Array]],
     criterion: str,
     goal: Array,
     where: str,
@@ -536,9 +522,8 @@ def finished_plan(
         design: The candidates.
         count: Number of poses to measure.
         rng: Draws the order of exchanges, and the random orders that the travel time is compared with.
-        drawn: Function that returns `DRAWS` random sets of a given number of poses, as joints or as indices of
-            candidates. It returns the same sets if it is called again.
-        rows_at: Function that returns the Jacobians ``(size, r, p)`` of the poses of one such set.
+        random_rows: Function that draws `DRAWS` random sets of a given number of poses, and returns the Jacobians
+            ``(size, r, p)`` of each set.
         criterion: See `plan_poses`.
         goal: The matrix W ``(p, p)`` of `error_weight`.
         where: The poses at which the error is predicted, in words.
@@ -547,24 +532,20 @@ def finished_plan(
     joints, aim = design.joints, goal if criterion == "test-poses" else None
     places, passes = exchange(design.rows, count, rng, aim, known=design.known)
 
-    def error(rows: Array) -> float:
-        return predicted_error(rows, goal, design.known)
+    error = partial(predicted_error, weight=goal, known=design.known)
 
+    @cache
     def chance(size: int) -> float:
-        return float(np.median([error(rows_at(poses)) for poses in drawn(size)]))
+        return float(np.median([error(rows) for rows in random_rows(size)]))
 
     by_chance = chance(count)
     if design.known.any() and error(design.rows[places]) > by_chance:  # much information, but not about the workspace
         places, passes = exchange(design.rows, count, rng, goal, known=design.known)
     places = places[short_tour(joints[places], arm.speed)]
     shuffled = [travel_seconds(joints[rng.permutation(places)], arm.speed) for _ in range(DRAWS)]
-    points: list[tuple[int, float, float]] = []
-    if len(sizes):
-        # Poses added one after the other: the first of a larger set are a smaller one.
-        added, _ = exchange(design.rows, sizes[-1], rng, aim, most_passes=0, known=design.known)
-        for size in sizes:
-            rows = design.rows[places if size == count else added[:size]]
-            points.append((size, error(rows), chance(size)))
+    # Poses added one after the other: the first of a larger set are a smaller one.
+    added = exchange(design.rows, sizes[-1], rng, aim, most_passes=0, known=design.known)[0] if sizes else places
+    planned = {size: design.rows[places if size == count else added[:size]] for size in sizes}
     return PosePlan(
         joints=joints[places],
         chosen=places,
@@ -576,7 +557,7 @@ def finished_plan(
         random_predicted_error=by_chance,
         where=where,
         passes=passes,
-        curve=tuple(points),
+        curve=tuple((size, error(rows), chance(size)) for size, rows in planned.items()),
     )
 
 
@@ -588,8 +569,7 @@ def _observed(design: Design, rows: Array) -> dict[str, float]:
         rows: Weighted, scaled Jacobians of the poses ``(M, r, p)``.
     """
     stacked = np.vstack([rows.reshape(-1, rows.shape[-1]), np.sqrt(design.known)])
-    values = np.linalg.svd(stacked, compute_uv=False)
-    return observability(np.asarray(values, dtype=float), len(rows))
+    return observability(np.linalg.svd(stacked, compute_uv=False), len(rows))
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> dict[str, Any]:

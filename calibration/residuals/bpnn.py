@@ -153,7 +153,7 @@ class Bpnn:
 
         The bias added after a cut-off goes into the next layer's bias, so that each layer passes over its numbers once.
         """
-        weights, biases = [weight for weight, _ in self._scaled], [bias for _, bias in self._scaled]
+        weights, biases = map(list, zip(*self._scaled, strict=True))
         for i in range(1, len(weights)):
             biases[i] = biases[i] + biases[i - 1] @ weights[i]
         layers = zip(weights, [*(-bias for bias in biases[:-1]), biases[-1]], strict=True)
@@ -162,9 +162,7 @@ class Bpnn:
     @cached_property
     def _code(self) -> CompiledNetwork | None:
         """The network's machine code; None unless ``fast`` is set and llvmlite is installed."""
-        if not (self.fast and is_there("llvmlite")):
-            return None
-        return CompiledNetwork(self._scaled)
+        return CompiledNetwork(self._scaled) if self.fast and is_there("llvmlite") else None
 
     def arrays(self) -> dict[str, Array]:
         """Return all arrays by name, for saving."""
@@ -228,10 +226,9 @@ def _network(inputs: int, outputs: int, settings: BpnnSettings):  # type: ignore
     from torch import nn
 
     layers: list[nn.Module] = []
+    dropout = [nn.Dropout(settings.dropout)] if settings.dropout else []
     for a, b in pairwise((inputs, *settings.hidden)):
-        layers += [nn.Linear(a, b), nn.BatchNorm1d(b), nn.ReLU()]
-        if settings.dropout:
-            layers.append(nn.Dropout(settings.dropout))
+        layers += [nn.Linear(a, b), nn.BatchNorm1d(b), nn.ReLU(), *dropout]
     return nn.Sequential(*layers, nn.Linear(settings.hidden[-1], outputs))
 
 
@@ -253,10 +250,8 @@ def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-un
     losses = np.zeros(settings.epochs)
     model.train()
     for epoch in range(settings.epochs):
-        order = rng.permutation(len(x))
-        order = torch.as_tensor(np.resize(order, steps * settings.batch_size)).reshape(steps, -1)
         total = torch.zeros(())
-        for rows in order:
+        for rows in torch.as_tensor(np.resize(rng.permutation(len(x)), (steps, settings.batch_size))):
             optimiser.zero_grad(set_to_none=True)
             loss = torch.nn.functional.mse_loss(model(x[rows]), y[rows])
             loss.backward()

@@ -25,8 +25,7 @@ from pickenv.base import InputError, register, single_threaded
 # What all regressors of residuals share: what is asked of them, arrays by name for saving, and standardising.
 
 CONSTANT = 1e-9
-"""A column that varies by less than this share of its largest absolute value counts as constant; the variation is
-rounding."""
+"""A column that varies by less than this share of its largest absolute value is constant but for rounding."""
 
 
 class Regressor(Protocol):
@@ -196,17 +195,14 @@ PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
 amplitude; in the second, a twentieth."""
 
 DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
-"""Bounds between which amplitude, each input's length scale and the noise are drawn for further starts of the search.
-
-From shorter length scales, a search ends with noise alone. From longer ones, it ends with ignored inputs.
-"""
+"""Bounds of amplitude, each input's length scale and noise for drawn starts of the search. From shorter length scales,
+a search ends with noise alone; from longer ones, with ignored inputs."""
 
 JITTER = 1e-10
 """Variance added to the noise's variance, so that a kernel matrix can be factorised."""
 
 COARSE, FINE = 1e-5, 1e-7
-"""A search ends when a step improves the log likelihood by less than this share: in the first searches, and in the
-final ones."""
+"""Least share by which a step must improve the log likelihood to go on, in the first and in the final searches."""
 
 
 START_ROWS, ITERATIONS = 200, 100
@@ -269,10 +265,9 @@ class GaussianProcess(SavedArrays):
         order = rng.permutation(len(inputs))
         learnt_rows, some = np.sort(order[:rows]), np.sort(order[:likelihood_rows])
         mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
-        scaled = (targets - mean) / std
         parts, learnt = [], inputs[learnt_rows]
         with single_threaded():
-            for output in scaled.T:
+            for output in ((targets - mean) / std).T:
                 amplitude, length, noise = _most_likely(inputs[some], output[some], rng, starts)
                 factor = _factor(_kernel(learnt, learnt, length, amplitude), noise)
                 parts.append((length, amplitude, noise, cho_solve((factor, True), output[learnt_rows])))
@@ -284,8 +279,7 @@ class GaussianProcess(SavedArrays):
         inputs = np.asarray(inputs, dtype=float)
         flat = inputs.reshape(-1, inputs.shape[-1])
         mean = np.empty((len(flat), len(self.amplitude)))
-        for start in range(0, len(flat), CHUNK):
-            part = slice(start, start + CHUNK)
+        for part in (slice(start, start + CHUNK) for start in range(0, len(flat), CHUNK)):
             for j, weights in enumerate(self.weights):
                 mean[part, j] = self._kernel(j, flat[part]) @ weights
         return np.reshape(mean * self.output_std + self.output_mean, (*inputs.shape[:-1], mean.shape[1]))
@@ -309,16 +303,15 @@ def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: 
     count = np.array([1, inputs.shape[1], 1])
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
     low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
-    random_starts = rng.uniform(low, high, (drawn, len(low)))
-    starts = [*plain, *random_starts]
+    starts = [*plain, *rng.uniform(low, high, (drawn, len(low)))]
     some = np.linspace(0, len(inputs) - 1, min(len(inputs), START_ROWS)).astype(int)
     optima = sorted((_search(start, inputs[some], target[some], COARSE) for start in starts), key=itemgetter(1))
     finalists = [optimum for optimum, _ in optima[:2]]
     if len(some) < len(inputs):
         finalists.append(plain[0])  # where some rows show noise alone, all may show more
     best, _ = min((_search(start, inputs, target, FINE) for start in finalists), key=itemgetter(1))
-    best = np.exp(best)
-    return float(best[0]), np.asarray(best[1:-1]), float(best[-1])
+    amplitude, *length, noise = np.exp(best).tolist()
+    return amplitude, np.array(length), noise
 
 
 def _search(start: Array, inputs: Array, target: Array, precision: float) -> tuple[Array, float]:
@@ -359,8 +352,7 @@ def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple
     # (dual dual^T - inverse), times the kernel element by element, times columns
     weighted = dual[:, None] * (smooth @ (dual[:, None] * columns)) - half @ columns - half.T @ columns
     by_length = weighted[:, 0] @ scaled**2 - np.sum(scaled * weighted[:, 1:], axis=0)
-    slope = np.concatenate([[weighted[:, 0].sum()], by_length, [noise**2 * trace]])
-    return float(value), -slope
+    return float(value), -np.concatenate([[weighted[:, 0].sum()], by_length, [noise**2 * trace]])
 
 
 def _factor(smooth: Array, noise: float) -> Array:
@@ -384,8 +376,7 @@ def _kernel(left: Array, right: Array, length: Array, amplitude: float) -> Array
     kernel = a @ b.T
     kernel -= 0.5 * np.sum(a**2, axis=1)[:, None]
     kernel -= 0.5 * np.sum(b**2, axis=1)
-    np.minimum(kernel, 0.0, out=kernel)
-    np.exp(kernel, out=kernel)
+    np.exp(np.minimum(kernel, 0.0, out=kernel), out=kernel)
     kernel *= amplitude**2
     return np.asarray(kernel)
 
@@ -410,10 +401,9 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
     """
     from scipy.stats import norm, qmc
 
-    points = qmc.Sobol(process.rows.shape[1], rng=rng).random(count)
-    normal = norm.ppf(np.clip(points, 1e-9, 1.0 - 1e-9))
+    normal = norm.ppf(np.clip(qmc.Sobol(process.rows.shape[1], rng=rng).random(count), 1e-9, 1.0 - 1e-9))
     parts = [_of_output(process, output, normal) for output in range(len(process.noise))]
-    frequency, mean, factor = (np.stack(arrays) for arrays in zip(*parts, strict=True))
+    frequency, mean, factor = map(np.stack, zip(*parts, strict=True))
     return frequency, mean, factor
 
 

@@ -194,19 +194,14 @@ def fit_residual(
 MARGIN = 0.02
 """Least share by which a residual model must cut the RMS on held-out blocks; less is no gain."""
 
-FOLDS = 5
-"""Number of contiguous folds of the cross-validation within the training rows."""
-
 AUTO = ("bpnn", "rbf", "gp")
 """Models that are tried by default. The list is fixed, so that other installed packages do not change the results."""
 
 SLOW = ("bpnn",)
-"""Models that take seconds to fit. They are tried last. If other models are tried, they are tried only if one of the
-others gains on the held-out blocks."""
+"""Models that take seconds to fit, tried last, and beside others only if one of them gains on the held-out blocks."""
 
 Refit = Callable[[Measurements], Geometry | ArmModel]
-"""Function that identifies the arm from training rows alone. It returns a fixed arm if the arm was identified from
-other data."""
+"""Function that identifies the arm from training rows alone, or returns an arm identified from other data."""
 
 
 @dataclass(frozen=True)
@@ -299,7 +294,7 @@ def gate_residuals(
 
     @cache
     def inner() -> list[Trial]:
-        folds = contiguous_folds(rows.groups, same_poses(rows.joints), FOLDS)
+        folds = contiguous_folds(rows.groups, same_poses(rows.joints), folds=5)
         return [_trial(rows, refit, *fold) for fold in folds]
 
     bare = GateVerdict("", None, position_rms(untouched, counts), None, _attitude_rms(untouched, counts))
@@ -311,9 +306,9 @@ def gate_residuals(
         if name in SLOW and others and not any(map(_wins_outside, others)):
             tried = " nor ".join(verdict.model for verdict in others)
             verdicts[name] = replace(bare, model=name, reason=f"not tried: no gain by {tried}, which learn sooner")
-            continue
-        learn = partial(_left_by, name, seeds[name], (fitters or {}).get(name))
-        verdicts[name] = _verdict(replace(bare, model=name), learn, blocked, inner)
+        else:
+            learn = partial(_left_by, name, seeds[name], (fitters or {}).get(name))
+            verdicts[name] = _verdict(replace(bare, model=name), learn, blocked, inner)
     if progress is not None:
         progress(len(models), len(models))
     return tuple(verdicts[name] for name in models)

@@ -135,7 +135,7 @@ def test_one_pose_more_than_the_equations_need_is_the_least(qiao, kind, paramete
 def test_stated_uncertainties_weigh_positions_against_attitudes(qiao):
     joints = random_joints(qiao.nominal, 30, np.random.default_rng(0))
     plain, other = (
-        design_of(qiao.nominal, link_model(qiao.nominal), joints, **std)
+        design_of(qiao.nominal, link_model(qiao.nominal), joints, "pose", **std)
         for std in ({}, {"position_std": 3 * POSITION_STD})
     )
     assert plain.weight == pytest.approx([1 / POSITION_STD] * 3 + [1 / ATTITUDE_STD] * 3)
@@ -155,7 +155,7 @@ def test_the_base_set_spans_all_that_the_poses_tell_and_no_more(qiao):
     """Rank by singular values of all 24 columns; the parameter with the largest effect of all is in it."""
     names = link_model(qiao.nominal).names
     joints = random_joints(qiao.nominal, 40, np.random.default_rng(0))
-    design = design_of(qiao.nominal, link_model(qiao.nominal), joints)
+    design = design_of(qiao.nominal, link_model(qiao.nominal), joints, "pose")
     rows = seen_by(qiao.nominal, joints, names)
     assert np.linalg.matrix_rank(rows, tol=1e-6 * np.linalg.norm(rows)) == len(design.model.names) == 16
     own = np.linalg.svd(design.rows.reshape(-1, 16), compute_uv=False)

@@ -91,7 +91,7 @@ def test_gains_are_those_of_the_enlarged_matrix(seed, rows):
 @pytest.mark.parametrize("aimed", [False, True])
 def test_no_single_exchange_betters_the_result(qiao, aimed):
     rng = np.random.default_rng(3)
-    design = design_of(qiao.nominal, link_model(qiao.nominal), random_joints(qiao.nominal, 60, rng))
+    design = design_of(qiao.nominal, link_model(qiao.nominal), random_joints(qiao.nominal, 60, rng), "pose")
     weight = error_weight(qiao.nominal, design, random_joints(qiao.nominal, 20, rng)) if aimed else None
     chosen, _ = exchange(design.rows, 8, rng, weight)
 
@@ -226,7 +226,7 @@ def test_thirty_poses_travel_much_less_than_in_random_order(qiao):
 
 def test_a_base_set_spans_what_the_model_spans(qiao, exact):
     design = design_of(
-        qiao.nominal, complete_model(qiao.nominal), random_joints(qiao.nominal, 50, np.random.default_rng(0))
+        qiao.nominal, complete_model(qiao.nominal), random_joints(qiao.nominal, 50, np.random.default_rng(0)), "pose"
     )
     assert len(design.model.names) == 24
     error = predicted_error(design.rows, error_weight(qiao.nominal, design, design.joints))
