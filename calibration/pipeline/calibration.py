@@ -246,7 +246,7 @@ class PoseUncertainty:
         return replace(sure, factors=factors)
 
     def region(self, model: ArmModel, data: Observations) -> dict[str, Any]:
-        """Return an entry of a calibration's record that describes the measured region; `measured_there` uses it.
+        """Return the entry of a calibration's record that describes the measured region (`Calibration.measured_there`).
 
         It holds the joints of some rows and the joint distance that counts as near. It also holds the 95th percentile
         of the position's uncertainty that the parameters cause at the rows, m.
@@ -260,8 +260,7 @@ class PoseUncertainty:
         places = joint_features(joints, model.geometry.prismatic)
         apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
         near = max(NEARBY, SPACING * float(np.percentile(apart, 95)))
-        region = {"joints": np.round(joints, 4).tolist(), "near": near, "position_p95_m": float(np.percentile(std, 95))}
-        return {MEASURED_REGION: region}
+        return {"joints": np.round(joints, 4).tolist(), "near": near, "position_p95_m": float(np.percentile(std, 95))}
 
 
 def variance_by_station(found: Identification, data: Observations) -> Array:
@@ -298,30 +297,6 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
     straight = np.array(slides)
     turning = joints[:, ~straight]
     return np.concatenate([np.sin(turning), np.cos(turning), joints[:, straight]], axis=1)
-
-
-def measured_there(
-    record: Mapping[str, Any], model: ArmModel, joints: Array, conditions: Conditions | None
-) -> NDArray[np.bool_] | None:
-    """Return a mask ``(N,)`` of the poses that lie in the region where the arm was measured.
-
-    A pose lies there if a fitted row is near and the parameters cause little uncertainty of it (`VAGUE`).
-
-    Args:
-        record: The calibration's record. The result is None if it holds no region or no uncertainty.
-        model: The calibrated arm.
-        joints: Joints ``(N, n)``, rad or m.
-        conditions: Payload and temperature, if the model depends on them.
-    """
-    region = record.get(MEASURED_REGION)
-    sure = uncertainty_from(record, WITHOUT_RESIDUAL) or uncertainty_from(record)
-    if region is None or sure is None:
-        return None
-    slides = model.geometry.prismatic
-    tree = KDTree(joint_features(np.array(region["joints"]), slides))
-    near = tree.query(joint_features(joints, slides))[0] <= region["near"]
-    sure_there = sure.from_parameters(model, joints, conditions) <= VAGUE * region["position_p95_m"]
-    return np.asarray(near & sure_there)
 
 
 def uncertainty_from(record: Mapping[str, Any], name: str = UNCERTAINTY) -> PoseUncertainty | None:
@@ -452,23 +427,20 @@ class Calibration:
         """
         if self.arm.tree is not None:
             raise InputError("a whole robot has no one tool to compensate; export its calibration onto its URDF")
-        if not with_residual:
-            return self.without_residual().compensator(
-                conditions=conditions, iterations=iterations, single_precision=single_precision
-            )
-        learnt = self.learnt
+        calibration = self if with_residual else self.without_residual()
+        learnt, present = calibration.learnt, conditions or Conditions()
         if learnt is not None:
-            (conditions or Conditions()).refuse_other_inputs(self.record)
+            present.refuse_other_inputs(self.record)
             learnt = learnt.faster() if fast else learnt
         anything = self.model.terms or learnt is not None
-        residual = partial(remainder, self.model, learnt, conditions or Conditions()) if anything else None
-        stated = uncertainty_from(self.record) is not None
+        residual = partial(remainder, self.model, learnt, present) if anything else None
 
         def bounds(commands: Array) -> Sizes:
             repeated = None if conditions is None else conditions.repeated(commands.shape[:-1] or (1,))
-            return self.uncertainty(commands, repeated)[1]
+            return calibration.uncertainty(commands, repeated)[1]
 
-        evidence = self.reservations(), bounds if stated else None, self.caution, self.arm
+        stated = bounds if uncertainty_from(calibration.record) is not None else None
+        evidence = self.reservations(), stated, self.caution, self.arm
         return Compensator(self.nominal, self.identified, residual, iterations, single_precision, *evidence)
 
     def uncertainty(self, joints: ArrayLike, conditions: Conditions | None = None) -> tuple[Sizes, Sizes]:
@@ -488,7 +460,7 @@ class Calibration:
         sizes = standard, sure.within95(standard)
         if self.learnt is None or WITHOUT_RESIDUAL not in self.record:
             return sizes
-        inside = measured_there(self.record, self.model, joints.reshape(-1, joints.shape[-1]), conditions)
+        inside = self.measured_there(joints.reshape(-1, joints.shape[-1]), conditions)
         measured = np.reshape(True if inside is None else inside, joints.shape[:-1])
         without = self.without_residual().uncertainty(joints, conditions)
         (position, attitude), within = (
@@ -496,6 +468,26 @@ class Calibration:
             for pair in zip(sizes, without, strict=True)
         )
         return (position, attitude), (within[0], within[1])
+
+    def measured_there(self, joints: Array, conditions: Conditions | None) -> NDArray[np.bool_] | None:
+        """Return a mask ``(N,)`` of the poses that lie in the region where the arm was measured.
+
+        A pose lies there if a fitted row is near and the parameters cause little uncertainty of it (`VAGUE`). The
+        result is None if the record holds no region or no uncertainty.
+
+        Args:
+            joints: Joints ``(N, n)``, rad or m.
+            conditions: Payload and temperature, if the model depends on them.
+        """
+        region = self.record.get(MEASURED_REGION)
+        sure = uncertainty_from(self.record, WITHOUT_RESIDUAL) or uncertainty_from(self.record)
+        if region is None or sure is None:
+            return None
+        slides = self.identified.prismatic
+        tree = KDTree(joint_features(np.array(region["joints"]), slides))
+        near = tree.query(joint_features(joints, slides))[0] <= region["near"]
+        sure_there = sure.from_parameters(self.model, joints, conditions) <= VAGUE * region["position_p95_m"]
+        return np.asarray(near & sure_there)
 
     @property
     def caution(self) -> str | None:

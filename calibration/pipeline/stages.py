@@ -202,14 +202,10 @@ def given_rows(
         raise InputError(
             f"{len(layouts)} column descriptions are given for {len(items)} files; give one, or one per file"
         )
-    together = len(layouts) == 1 and stations is None
-    sets = [items] if together else [[file] for file in items]
+    sets = [items] if len(layouts) == 1 and stations is None else [[file] for file in items]
     layouts = layouts if len(layouts) > 1 else layouts * len(sets)
-    rows = [
-        data_set
-        for part, layout in zip(sets, layouts, strict=True)
-        for data_set in read_scene(part, arm.nominal, layout)
-    ]
+    pairs = zip(sets, layouts, strict=True)
+    rows = [data_set for part, layout in pairs for data_set in read_scene(part, arm.nominal, layout)]
     if stations is not None:
         rows = [series for data_set in rows for series in _files(data_set)]
     return _joined(arm, rows, stations, known, like)
@@ -248,10 +244,11 @@ def _joined(
     Without ``stations``, files of poses or positions within a set are grouped by their rows, too. The arguments are
     those of `given_rows`, with ``sets`` in place of the files.
     """
-    named = any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
-    if stations is not None and named:
+    named = any(any(origins_of(part).scene) for part in sets)
+    whole = any(part.conditions.between is not None for part in sets)
+    if stations is not None and (named or whole):
         raise InputError("[scene] says which files share a base or a tool; leave `stations` out")
-    if any(any(origins_of(part).scene) for part in sets):
+    if named:
         if like is not None and like.stations:
             return Stacked(tuple(_same_scene(like, part) for part in sets))
         return scene_of(arm, sets) if len(sets) > 1 else sets[0]
@@ -259,8 +256,7 @@ def _joined(
         tracked = [file for part in sets if part.poses is not None for file in _files(part.poses)]
         if isinstance(like, Stacked) and tracked:
             return placed(arm, like, tracked)
-        free = not known and like is None and all(part.frames == "fitted" for part in tracked)
-        free = free and not any(part.conditions.between is not None for part in sets)
+        free = not known and like is None and not whole and all(part.frames == "fitted" for part in tracked)
         if len(tracked) > 1 and free and all(part.poses is not None for part in sets):
             several = by_set_up(arm, tracked)
             return sets[0] if len(sets) == 1 and several.poses is not None else several
@@ -462,8 +458,8 @@ def calibrate(
 
 def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
     """Return the result of a draft that went through all stages, judged by its errors on held-out rows."""
-    arm, fit, choices = draft.arm, draft.best[1], draft.choices
-    region = workspace_joints(choices.workspace, arm.nominal, choices.frames)
+    arm, fit = draft.arm, draft.best[1]
+    region = workspace_joints(draft.choices.workspace, arm.nominal, draft.choices.frames)
     result = assess(
         arm, fit, draft.train, draft.test, fits=draft.fits, held_out=held_out, left_out=draft.left_out, workspace=region
     )
