@@ -173,8 +173,8 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, m
     }
     if solution.unknowns:
         record["unknowns"] = solution.unknowns
-    expected = model.start.geometry
-    return Fit(Calibration(arm.name, arm.nominal, expected, solution.arm_model, None, record), solution, aligned)
+    calibration = Calibration(arm.name, arm.nominal, model.start.geometry, solution.arm_model, None, record)
+    return Fit(calibration, solution, aligned)
 
 
 def fit_remainder(
@@ -335,10 +335,9 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
     else:
         assert bare.aligned is not None
         before = missed_by(bare.aligned, test)
-    pixels: tuple[Array, ...] = ()
-    if test.views is not None:
-        solution, views = bare.identification, [test.views.select(np.array([i])) for i in range(len(test.joints))]
-        pixels = tuple(view.pixel_errors(solution.arm_model, unknowns_of(solution, view)) for view in views)
+    solution, views = bare.identification, test.views
+    single = () if views is None else (views.select(np.array([i])) for i in range(len(test.joints)))
+    pixels = tuple(view.pixel_errors(solution.arm_model, unknowns_of(solution, view)) for view in single)
     steps = zip((GEOMETRIC, *list(fits)[1:]), fits.values(), strict=True)
     errors = {NOMINAL: before} | {name: what_is_left(fit, test) for name, fit in steps}
     rows = test.rows_of_misses
@@ -374,9 +373,7 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
         names: Names of the models of the calibration of all rows: the geometry alone, then each with one part more.
         parts: The held-out errors of each block.
     """
-    added = list(names[1:])
-    if not added and any(len(part.errors) > 2 for part in parts):
-        added = [AS_CHOSEN]
+    added = list(names[1:]) or [AS_CHOSEN] * any(len(part.errors) > 2 for part in parts)
     errors = {name: np.concatenate([part.errors[name] for part in parts]) for name in (NOMINAL, GEOMETRIC)}
     parametric = np.concatenate([part.parametric for part in parts])
     errors |= dict.fromkeys(added[:-1], parametric)
@@ -494,9 +491,7 @@ def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
     """Return the values of `pixel_figures` as a table; ``names`` are the held-out views' names, in the same order."""
     by_view, ends = figures["leave_one_out_view_rms_px"], figures["leave_one_out_mean_ci95_px"]
     worst = int(np.argmax(by_view))
-    between = "no interval: too few views"
-    if ends is not None:
-        between = f"95 % between views {figure(ends[0])} to {figure(ends[1])}"
+    between = f"95 % between views {figure(ends[0])} to {figure(ends[1])}" if ends else "no interval: too few views"
     rows = [
         ("views, corners", f"{figures['views']}, {figures['corners']}"),
         ("RMS of the fit to all views", f"{figure(figures['rms_px'])} px"),
@@ -511,9 +506,8 @@ def view_names(views: PixelObservations) -> tuple[str, ...]:
     """Return the name of each view: that of its picture, or else the file and row where its corners begin."""
     if views.pictures is not None:
         return tuple(Path(path).name for path in views.pictures)
-    return tuple(
-        f"{Path(file).name}: row {line}" for file, line in map(origins_of(views).place, range(len(views.joints)))
-    )
+    places = map(origins_of(views).place, range(len(views.joints)))
+    return tuple(f"{Path(file).name}: row {line}" for file, line in places)
 
 
 def lens_of(fit: Fit, data: Observations) -> Lens:
