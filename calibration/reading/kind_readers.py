@@ -21,7 +21,7 @@ from pickenv.base import LIMITS, TO_SI, InputError, check_limit, listed, read_te
 from pickenv.calibration.camera.boards import Corners, Grey, corners_at, find_corners, find_tags, opencv, read_lens
 from pickenv.calibration.model import kinds
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
-from pickenv.calibration.model.observations import SAME_POSE, Observations, Origins, Rows
+from pickenv.calibration.model.observations import SAME_POSE, Observations, Origins, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading import description
 from pickenv.calibration.reading.table_files import Table, read_table, rotations, table_of_entries
@@ -125,19 +125,11 @@ def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
         )
 
 
-def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> None:
-    """Refuse rows that equal another row to the last digit. They would count twice, and leak into held-out rows.
-
-    Args:
-        joints: Joints of all rows ``(N, n)``, rad or m.
-        found: The rows, whose readings are compared.
-        origins: File and line of each row.
-    """
-    numbers = np.concatenate([joints, found.readings()], axis=1)
+def refuse_duplicates(rows: Observations) -> None:
+    """Refuse rows that equal another row to the last digit. They would count twice, and leak into held-out rows."""
+    numbers, origins = np.concatenate([rows.joints, rows.readings()], axis=1), origins_of(rows)
     _, first, inverse, count = np.unique(numbers, axis=0, return_index=True, return_inverse=True, return_counts=True)
-    again = np.setdiff1d(np.arange(len(numbers)), first)
-    if len(again):
-        row = int(again[0])
+    for row in np.setdiff1d(np.arange(len(numbers)), first)[:1].tolist():
         file, line = origins.place(int(first[inverse.ravel()[row]]))
         place, this = origins.place(row)
         raise InputError(
@@ -439,7 +431,7 @@ def _refuse_other_unit(files: Files, data: kinds.DistanceObservations) -> None:
 
 
 STEM = "{file}"
-"""Placeholder in the pattern of a picture's path; it stands for the name, without ending, of the view's pose file."""
+"""Placeholder in the path of a picture or joint log: name of a pose or instrument file without ending, or of a bag."""
 
 MANY_BLIND = 0.25
 """Share of pictures without a detected corner above which all pictures are refused, since something is wrong."""
@@ -492,7 +484,7 @@ def read_views(
     data = PixelObservations(joints, corners, visible, file.target_points[0], *lens, std, file.pixels.mount or "world")
     names = np.array([str(path) for path in pictures]) if pictures else None
     data = replace(data, source=table.where, remarks=np.array(remarks), pictures=names, origins=origins)
-    refuse_duplicates(joints, data, origins)
+    refuse_duplicates(data)
     return data
 
 

@@ -172,15 +172,13 @@ def _data_set(
     names, links = (("", ""), ("", "")) if given is None else given.ends
     geometry = _between(geometry, links, where or tables[0].where)
     if given is not None and given.pixels is not None:
-        views: Observations = _in_scene(kind_readers.read_views(*logs[0], geometry, given, where), geometry, names)
-        return views
+        return _placed(kind_readers.read_views(*logs[0], geometry, given, where), geometry, scene=names)
     layouts = [given or own_description(geometry, table.header, table.where) for table in tables]
     logged, described, clocks = tables, layouts, tuple[Clocks, ...]()
     if given is not None and given.recording is not None:
 
         def read(table: table_files.Table, layout: description.DescriptionFile) -> Observations:
-            rows: Observations = _rows([table], [layout], where, geometry, "fitted")
-            return rows
+            return _rows([table], [layout], where, geometry, "fitted")
 
         parts = [
             recording.read_recording(table, path, given, where, geometry, read)
@@ -189,10 +187,8 @@ def _data_set(
         tables, layouts, clocks = [part[0] for part in parts], [part[1] for part in parts], tuple(p[2] for p in parts)
     rows = _rows(tables, layouts, where, geometry, "fitted" if given is not None else _frames(tables))
     if not repeats:
-        kind_readers.refuse_duplicates(rows.joints, rows, origins_of(rows))
-    rows = replace(rows, origins=replace(origins_of(rows), clocks=clocks, repeat=_repeat(logged, described)))
-    read_rows: Observations = _in_scene(rows, geometry, names)
-    return read_rows
+        kind_readers.refuse_duplicates(rows)
+    return _placed(rows, geometry, scene=names, clocks=clocks, repeat=_repeat(logged, described))
 
 
 def own_description(geometry: Geometry, header: list[str], where: str) -> description.DescriptionFile:
@@ -281,19 +277,20 @@ def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry
     return geometry.between(*ends)
 
 
-def _in_scene(rows: Any, geometry: Geometry, names: tuple[str, str]) -> Any:
-    """Return rows with the names of sensor and target added, and for a whole robot the links that carry these two.
+def _placed(rows: Any, geometry: Geometry, **origins: Any) -> Observations:
+    """Return rows with what is known of their origin added, and for a whole robot the links of sensor and target.
 
     Args:
         rows: The rows, `Observations` of any kind.
         geometry: The geometry from `_between`.
-        names: Names of sensor and target, in the order of ``DescriptionFile.ends``.
+        **origins: Fields of `Origins`, such as the names of sensor and target in the order of ``DescriptionFile.ends``.
     """
-    rows = replace(rows, origins=replace(origins_of(rows), scene=names))
-    if geometry.tree is None:
-        return rows
-    between = np.tile([geometry.tree.sensor, geometry.tree.target], (len(rows.joints), 1))
-    return replace(rows, conditions=replace(rows.conditions, between=between))
+    conditions = rows.conditions
+    if geometry.tree is not None:
+        between = np.tile([geometry.tree.sensor, geometry.tree.target], (len(rows.joints), 1))
+        conditions = replace(conditions, between=between)
+    placed: Observations = replace(rows, origins=replace(origins_of(rows), **origins), conditions=conditions)
+    return placed
 
 
 def _rows(
@@ -302,7 +299,7 @@ def _rows(
     where: str,
     geometry: Geometry,
     frames: Frames,
-) -> Any:
+) -> Observations:
     """Read the rows of tables of one layout as `Observations` of any kind except pixels.
 
     ``layouts`` are the column descriptions of the files, and ``where`` is their name for messages; it may be empty.
@@ -319,7 +316,8 @@ def _rows(
     kind_readers.refuse_repeated_joints(files.first, where, joints, geometry)
     rows: Any = get("instrument", files.first.kind)(files, files.first.measured)
     known: dict[str, Frames] = {} if frames == "fitted" else {"frames": frames}
-    return replace(rows, source=source, conditions=_conditions(files), origins=origins, **known)
+    complete: Observations = replace(rows, source=source, conditions=_conditions(files), origins=origins, **known)
+    return complete
 
 
 def _frames(tables: list[table_files.Table]) -> Frames:
@@ -370,10 +368,9 @@ def _poses(files: Files, _section: Any) -> Measurements:
             that each convention would leave.
     """
     first, position = files.first, files.values()
-    for table, layout in files.pairs():
-        kind_readers.refuse_unseen(table, layout)
     rotation, attitudes = None, first.rotation
     for table, layout in files.pairs():
+        kind_readers.refuse_unseen(table, layout)
         if (layout.rotation is None) != (attitudes is None):
             without, with_ = (files.tables[0], table) if attitudes is None else (table, files.tables[0])
             raise InputError(

@@ -32,12 +32,6 @@ from pickenv.calibration.model.observations import Clocks, Observations, Rows, e
 from pickenv.calibration.reading import description, kind_readers, table_files
 from pickenv.calibration.reading.table_files import Table, read_log
 
-STEM = "{file}"
-"""Placeholder in the joint log's path.
-
-It stands for the name of the instrument's file without its ending, or for the whole name of a bag folder.
-"""
-
 LEAST_SAMPLES = 50
 """Smallest number of an instrument's samples within the joint log from which the clocks can be identified."""
 
@@ -322,7 +316,7 @@ def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: 
     """Read both logs, check their times, and leave out lost samples."""
     told = layout.recording
     assert told is not None
-    home = path.parent / told.joints.replace(STEM, path.name if path.is_dir() else path.stem)
+    home = path.parent / told.joints.replace(kind_readers.STEM, path.name if path.is_dir() else path.stem)
     log = read_log(home, told.joints_topic, layout.separator, layout.decimal)
     torques = () if layout.conditions.torques is None else layout.conditions.torques.columns
     columns = (*layout.joint_columns, *torques)
