@@ -42,10 +42,7 @@ from pickenv.calibration.pipeline.calibration import Calibration
 NEAR, TURNED = 1e-4, 2e-4
 """Largest distance, m, and angle, rad, between two axes that count as equal; rounding in a file can cause as much."""
 LEAST_SHARE = 1e-3
-"""Deviation below which a relation of table and file (`SameChain`) counts as exact.
-
-It is a share of `NEAR` and `TURNED`, that is 0.1 micrometre.
-"""
+"""Share of `NEAR` and `TURNED`, that is 0.1 micrometre, below which a relation of table and file counts as exact."""
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 POSES = 12
@@ -53,11 +50,9 @@ POSES = 12
 
 
 SameChain = tuple[Pose, Array, Array]
-"""The relation of an arm's DH table to a file of the same chain: root, sign and zero.
-
-The root is the pose of the table's world frame in the file's root link. The sign is 1 or -1 for each joint (n,). The
-zero is the table's joint values (n,), rad or m, at the pose where all joints of the file are zero.
-"""
+"""The relation of an arm's DH table to a file of the same chain: root, sign and zero. The root is the pose of the
+table's world frame in the file's root link. The sign is 1 or -1 for each joint (n,). The zero is the table's joint
+values (n,), rad or m, at the pose where all joints of the file are zero."""
 
 
 @dataclass(frozen=True, eq=False)

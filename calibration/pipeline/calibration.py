@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from pickenv.arm import Arm, Array, Geometry, Pose
 from pickenv.arm.files.arm import finite, geometry_arrays, geometry_from_arrays
-from pickenv.base import DO_NOT_USE, FITTED_FRAMES, InputError
+from pickenv.base import DO_NOT_USE, FITTED_FRAMES, InputError, in_file
 from pickenv.base.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.base.registry import Origin, get, origin
 from pickenv.calibration.assessment.screen import Block, figure, within95
@@ -33,11 +33,8 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 # in its record, so that a command can be given with its uncertainty later. SI units.
 
 NEARBY, SPACING = 0.3, 1.5
-"""Two numbers that set the largest distance between joint vectors at which two poses count as near each other.
-
-The distance is the first number, rad or m. If measured poses are sparse, it is the second number times the 95th
-percentile of their distances from the nearest neighbour.
-"""
+"""Largest distance between joint vectors, rad or m, at which two poses count as near each other. If measured poses are
+sparse, it is the second number times the 95th percentile of their distances from the nearest neighbour."""
 
 VAGUE = 2.0
 """Largest position uncertainty that the parameters may cause at a pose of the measured region, in multiples of the 95th
@@ -323,8 +320,6 @@ def uncertainty_from(record: Mapping[str, Any], name: str = UNCERTAINTY) -> Pose
 
 KIND = "calibration"
 FORMAT = 3
-"""Version of the calibration file's content."""
-
 REMAKE = "run `pickenv calibrate` (or `pickenv demo`) to make one anew"
 GEOMETRIES = ("arm", "nominal", "identified")
 """Names of the geometries that a calibration file holds."""
@@ -615,10 +610,8 @@ class Calibration:
             kind, parts = content.header.get("residual"), content.header.get("residual_from") or {}
             source = Origin(**{key: str(value) for key, value in parts.items()})
         if kind is not None:
-            try:
+            with in_file(path):
                 get("residual", str(kind), **asdict(source))
-            except InputError as error:
-                raise InputError(f"{path}: {error}") from error
         with refusing_damage(path, f"a {KIND} file", REMAKE):
             calibration = _from_parts(content.header, content.arrays)
         if calibration.arm.tree is not None and not whole:

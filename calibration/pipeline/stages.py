@@ -129,10 +129,7 @@ Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
 """Measured rows: one data set (`Observations`, such as `Measurements`) or several, or the paths of files with them."""
 
 Columns = str | Path | Sequence[str | Path] | None
-"""Name or path of a description of the files' columns, or several of these, one for each file.
-
-None means pickenv's own columns.
-"""
+"""Name or path of a description of the files' columns, or one for each file; None means pickenv's own columns."""
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
 """Values of the option ``stations``, each with the frames that then differ from station to station."""
@@ -317,10 +314,7 @@ GEOMETRY = "geometry"
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS, FEW_ROWS = 60, 20
-"""Largest numbers of pictures, and of poses, that are held out one by one.
-
-Each is then judged by a fit to the rows of all other poses.
-"""
+"""Largest numbers of pictures, and of poses, that are held out one by one, each judged by a fit to all others."""
 
 
 @dataclass(frozen=True, eq=False)

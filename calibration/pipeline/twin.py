@@ -31,10 +31,8 @@ from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feat
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 
 SMOOTH, ROUGH = 256, 8
-"""Numbers of waves, each a cosine and a sine, whose sum is one coordinate of the error.
-
-The first number is for the Gaussian process, the second for the arm's own scatter.
-"""
+"""Numbers of waves, each a cosine and a sine, whose sum is one coordinate of the error: those of the Gaussian process,
+and those of the arm's own scatter."""
 
 ROUGH_LENGTH = 1e-2
 """Distance between joint vectors, rad or m, beyond which the arm's own scatter is independent."""
@@ -43,10 +41,8 @@ SCATTER, SCATTER_PARTS = "scatter", ("position_std", "attitude_std", "source")
 """Entry of a calibration's record with the instrument's share of the scatter (`Scatter`), and this entry's keys."""
 
 Scatter = tuple[float, float, str]
-"""The instrument's share of a measurement's scatter, and its source in words.
-
-The share is the standard deviations of a position coordinate, m, and of an attitude coordinate, rad.
-"""
+"""The instrument's share of a measurement's scatter: standard deviations of a position coordinate, m, and of an
+attitude coordinate, rad, and the source in words."""
 
 ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrument of which nothing is stated")
 

@@ -39,19 +39,15 @@ REFIT_ROWS = 6
 """Default number of rows to which base and tool are refitted."""
 
 CHANGE_STD = (1.0, np.pi / 6)
-"""Prior standard deviations of the change of a refitted frame (base or tool): shift, m, and turn, rad.
-
-In directions that the rows do not determine, the frame does not change.
-"""
+"""Prior standard deviations of the change of a refitted frame (base or tool): shift, m, and turn, rad. In directions
+that the rows do not determine, the frame does not change."""
 
 NO_RANK = 1e-12
 """Rank tolerance of the refit, so small that no parameter counts as redundant, since each has a prior."""
 
 TOLD = 0.1
-"""Limit up to which the rows determine a direction of a frame's shift or turn.
-
-It is a limit on the posterior standard deviation along the direction, as a share of the prior one (`CHANGE_STD`).
-"""
+"""Posterior standard deviation, as a share of the prior one (`CHANGE_STD`), up to which the rows determine a direction
+of a frame's shift or turn."""
 
 CANDIDATES = 1000
 """Largest number of rows, taken at equal steps, from which the rows for the refit are chosen."""
@@ -247,10 +243,8 @@ def near_rows(
 
 
 GROWN = 1.5
-"""Ratio of the RMS error to the promised one above which a calibration is no longer as good as promised.
-
-On four data sets of one robot, the RMS error in another region of the workspace is up to 1.3 times larger.
-"""
+"""Ratio of the RMS error to the promised one above which a calibration is no longer as good as promised. On four data
+sets of one robot, the RMS error in another region of the workspace is up to 1.3 times larger."""
 
 ELSEWHERE = 20.0
 """Ratio of the RMS error to the promised one above which another region of the workspace cannot be the cause."""

@@ -73,10 +73,7 @@ class Files:
 
 
 QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
-"""For each recorded condition, the name of its limits in `pickenv.base.errors`.
-
-Temperatures are relative to the reference.
-"""
+"""For each recorded condition, the name of its limits in `pickenv.base.errors`; temperatures are from the reference."""
 
 FARTHEST = 1e4
 """Largest distance at which an instrument can see a tool, m."""
@@ -226,10 +223,8 @@ UNIT_LENGTH = 0.02
 """Largest allowed difference of a direction vector's length from 1."""
 
 EXPLAINED, UNEXPLAINED = 0.2, 0.5
-"""Limits of the misfit of a wire's lengths to the best anchor, as a share of the lengths' spread.
-
-The misfit is below the first limit if the unit is right, and at or above the second if it is wrong.
-"""
+"""Misfit of a wire's lengths to the best anchor, as a share of the lengths' spread: below the first limit if the unit
+is right, and at or above the second if it is wrong."""
 
 
 @register("instrument", "reflectors")
@@ -246,20 +241,19 @@ def _reflectors(files: Files, section: description.ReflectorsTable) -> kinds.Ref
             blank = np.stack([table.fill_blanks(name) for name in first.columns], -1)
         values = table.values(first.columns).reshape(len(table.lines), -1, 3) * TO_SI[first.unit]
         empty, zero = blank.reshape(values.shape).any(axis=2), (values == 0).all(axis=2)
-        if (zero & ~empty).any() and "zeros" not in section.lost:
-            row, which = np.argwhere(zero & ~empty)[0]
+        for row, which in () if "zeros" in section.lost else np.argwhere(zero & ~empty)[:1]:
             raise InputError(
                 f"{table.where}: row {table.lines[row]}: reflector {which + 1} lies at 0, 0, 0, which usually means "
                 "that the tracker lost it; say lost = 'zeros' in [reflectors], or remove the row"
             )
         points.append(values)
-        visible_parts.append(~(empty | (zero if "zeros" in section.lost else empty)))
+        visible_parts.append(~(empty | zero))
     visible = np.concatenate(visible_parts)
     if (visible.sum(axis=0) < 3).any():
         which = int(np.argmin(visible.sum(axis=0)))
         raise InputError(f"{files.source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
-    places = np.reshape(section.places, (-1, 3)) if section.places else None
     data = kinds.ReflectorObservations(files.joints, np.concatenate(points), visible, first.std)
+    places = np.reshape(section.places, (-1, 3)) if section.places else None
     return replace(data, places=places, places_std=section.places_std)
 
 

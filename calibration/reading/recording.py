@@ -39,16 +39,11 @@ CHORD = 0.1
 """Time over which speeds are computed, s: shorter than a motion, and long enough to suppress noise."""
 
 LEAST_OVERLAP, LEAST_CORRELATION = 0.3, 0.4
-"""Two conditions for trying a clock offset: smallest overlap of the logs, and smallest correlation of the speeds.
-
-The overlap is a share of the shorter log.
-"""
+"""Conditions for trying a clock offset: smallest overlap, as a share of the shorter log, and correlation of speeds."""
 
 PEAKS, CLEAR = 5, 0.7
-"""Number of clock offsets that are tried by fits, and a limit on the best offset's median misfit.
-
-The limit is a share of the median misfit of every other offset. Above this limit, the best offset is ambiguous.
-"""
+"""Number of clock offsets that are tried by fits, and a limit on the best offset's median misfit as a share of that of
+every other offset. Above this limit, the best offset is ambiguous."""
 
 TRIED, FITTED = 300, 1500
 """Largest numbers of samples: in a fit that tries a clock offset, and in the final fit of the clocks."""
@@ -63,19 +58,14 @@ REST, SETTLING = 0.4, 0.3
 """Shortest standstill of the arm that gives a row, s, and time at its start in which the arm may still swing, s."""
 
 SPREADS, FINEST, COARSEST = 8.0, 2e-5, 3e-3
-"""Largest range of a resting joint's values, in standard deviations of the joint log's noise.
-
-The other two numbers are the least and the largest value of this limit, rad or m.
-"""
+"""Largest range of a resting joint's values, in standard deviations of the joint log's noise, and the least and the
+largest value of this limit, rad or m."""
 
 PATH, MOST_ROWS = 0.02, 2000
 """Path length in joint space between two rows of a motion, rad and m together, and the largest number of such rows."""
 
 Read = Callable[[Table, description.DescriptionFile], Observations]
-"""Function that reads a table of joints and readings by its column description.
-
-It treats each row as a measurement of the arm at rest.
-"""
+"""Function that reads a table of joints and readings by its description, each row as if measured at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -528,7 +518,7 @@ def _first_guess(logs: Logs, read: Read) -> tuple[Timed, Identification, float, 
     if not tried:
         raise InputError(f"{where}: hardly any sample lies within the joint log; record both at the same time")
     tried.sort(key=lambda item: item[0])
-    (miss, start, found), *others = tried
+    (miss, _, found), *others = tried
     offset = [begun - found.unknowns["clock_offset"] for _, begun, found in tried]
     timed = _timed(logs, offset[0], FITTED, read)
     assert timed is not None

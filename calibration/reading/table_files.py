@@ -58,10 +58,8 @@ SAME_AS = {
 """Attitude conventions of robot makers: for each name, the name of the equal convention in `GENERAL`."""
 
 CONVENTIONS = GENERAL | {maker: GENERAL[general] for maker, general in SAME_AS.items()}
-"""Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function.
-
-The function turns values (N, 3 or 4), angles in rad, into rotations.
-"""
+"""Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function that turns values
+(N, 3 or 4), angles in rad, into rotations."""
 
 
 def columns_of(convention: str) -> int:
@@ -431,10 +429,8 @@ FIELDS: dict[str, tuple[str, ...]] = {
         *("transform.rotation.x", "transform.rotation.y", "transform.rotation.z", "transform.rotation.w"),
     ),
 }
-"""Types of messages that are read, and the fields of each that become columns.
-
-The columns of a JointState are named after its joints. All types have a header with a stamp.
-"""
+"""Types of messages that are read, all with a stamp in their header, and the fields of each that become columns. The
+columns of a JointState are named after its joints."""
 
 
 def read_log(
