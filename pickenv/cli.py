@@ -73,10 +73,8 @@ def demo(
         written = write_run(result, out, report)
     summary = summarise(result)
     more = "" if details else "95th percentiles, floors, and what a network gains on other arms"
-    see = command_line("pickenv", "inspect" if "inspect" not in absent else "check", out)
-    showing.deliver(
-        [(out, lambda _: written)], lambda: _print_demo(summary, details=details), f"look at it: {see}", more
-    )
+    see = f"look at it: {command_line('pickenv', 'inspect' if 'inspect' not in absent else 'check', out)}"
+    showing.deliver([(out, lambda _: written)], lambda: _print_demo(summary, details=details), see, more)
     if absent:
         brings = " and ".join({"learn": "the network", "inspect": "figures, page and recording"}[e] for e in absent)
         print(f"this was made without {brings}; get them with: {command_for(*absent)}")

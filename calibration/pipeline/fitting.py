@@ -18,17 +18,8 @@ import numpy as np
 from pickenv.arm import Arm, Array, Geometry
 from pickenv.base import LEAST, InputError, mean_interval, versions
 from pickenv.calibration.assessment.screen import LEAST_ROWS, Block, error_statistics, figure
+from pickenv.calibration.identification import robust
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
-from pickenv.calibration.identification.robust import (
-    BETTER,
-    MISFIT,
-    SPAN,
-    SUSPECT,
-    align,
-    misfit,
-    refuse_another_arm,
-    rough_start,
-)
 from pickenv.calibration.identification.solve import covariance_at, solve
 from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model
 from pickenv.calibration.model.measurements import Measurements
@@ -116,26 +107,26 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
     nominal = arm.nominal
     if data.poses is not None:
         if not known:
-            return align(nominal, data.poses, frames_model(nominal))
+            return robust.align(nominal, data.poses, frames_model(nominal))
         try:
-            refuse_another_arm(nominal, data.poses, "with base and tool taken as known")
+            robust.refuse_another_arm(nominal, data.poses, "with base and tool taken as known")
         except InputError as fault:
             _refuse_unregistered(nominal, data.poses, fault)
             raise
         return None
-    solution = identify(frames_model(nominal), ArmModel.of(rough_start(nominal, data)), [data], max_iterations=100)
+    solution = identify(frames_model(nominal), robust.rough_start(nominal, data), [data], max_iterations=100)
     _refuse_misfit(solution, data)
     return solution
 
 
 def _refuse_unregistered(nominal: Geometry, poses: Measurements, fault: InputError) -> None:
     """Raise an error if rows miss the arm with known base and tool, but fit the arm with fitted base and tool."""
-    before = sum(misfit(nominal, poses))
+    before = sum(robust.misfit(nominal, poses))
     try:
-        after = sum(misfit(align(nominal, poses, frames_model(nominal)).geometry, poses))
+        after = sum(robust.misfit(robust.align(nominal, poses, frames_model(nominal)).geometry, poses))
     except InputError:
         return  # too few rows, or another arm in any frames
-    if after < min(SUSPECT, before / BETTER):
+    if after < min(robust.SUSPECT, before / robust.BETTER):
         raise InputError(
             f"{poses.source}: with base and tool taken as known the arm fits {before / max(after, 1e-3):.0f} times "
             "worse than with fitted ones; give `frames='fitted'`, or correct base and tool in the arm's file"
@@ -230,7 +221,7 @@ def _refuse_misfit(found: Identification, data: Observations) -> None:
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
     span = data.span(ArmModel.of(found.geometry).pose(data.joints, data.conditions).position)
-    if rms > MISFIT * max(span, SPAN):
+    if rms > robust.MISFIT * max(span, robust.SPAN):
         missed = f"{rms * MISS_UNITS[data.miss_unit]:.0f} {data.miss_unit}"
         raise InputError(
             f"{data.source}: after fitting the frames the arm still misses by {missed} RMS; check the arm, the units, "
@@ -288,14 +279,14 @@ class HeldOut:
             rows: Number of rows judged.
             fitted: Number of rows that the calibration was fitted to.
         """
+        reason = f" ({self.no_interval})" if self.no_interval else ""
         if self.blocks is None:
-            counted = f"{rows} {self.rows} held out, {fitted} fitted"
-            return f"{counted}; interval over rows{self._reason()}"
+            return f"{rows} {self.rows} held out, {fitted} fitted; interval over rows{reason}"
         counts = Counter(self.used).most_common()
         models = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
         return (
             f"{rows} {self.rows}, each judged without its block: mean over {self._values} contiguous blocks, "
-            f"between-block interval{self._reason()}; fitted without each block, and chosen on others: {models}; the "
+            f"between-block interval{reason}; fitted without each block, and chosen on others: {models}; the "
             f"calibration is fitted to all {fitted}"
         )
 
@@ -315,10 +306,6 @@ class HeldOut:
         """Number of independent values that an interval rests on: rows, or blocks of them."""
         numbers = self.row if self.blocks is None else self.blocks
         return len(self.parametric) if numbers is None else len(np.unique(numbers))
-
-    def _reason(self) -> str:
-        """Return `no_interval` in brackets after a space; empty if the mean error has an interval."""
-        return f" ({self.no_interval})" if self.no_interval else ""
 
 
 def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:

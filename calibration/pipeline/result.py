@@ -213,9 +213,8 @@ class Result:
             return "each sensor's and each target's place was fitted; errors are of the motion of one against the other"
         words = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
         if self.own_mean_ci95 is None:
-            return (
-                words + f"{screen.figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
-            )
+            mean = screen.figure(self.best.mean)
+            return f"{words}{mean} mm ({self.held_out.no_interval}; with the instrument's noise)"
         low, high = map(screen.figure, self.own_mean_ci95)
         return f"{words}{low} to {high} mm (95 % interval; the lower end without the instrument's noise)"
 
@@ -357,10 +356,8 @@ class Result:
         figures = ("RMS", "mean", "95 % interval", "p95", "max")
         header: tuple[str, ...] = ("model", *(f"{name} ({self.miss_unit})" for name in figures))
         header += ("attitude mean (deg)",) if self.attitude else ()
-        labels = {
-            fitting.NOMINAL: "nominal" if self.known_frames else "nominal, base and tool fitted",
-            fitting.GEOMETRIC: "geometry",
-        }
+        nominal = "nominal" if self.known_frames else "nominal, base and tool fitted"
+        labels = {fitting.NOMINAL: nominal, fitting.GEOMETRIC: "geometry"}
         rows = []
         for name, s in self.position.items():
             if name == fitting.NOMINAL and not self.has_nominal:

@@ -34,16 +34,8 @@ from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.result import Result, assess, workspace_joints
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import joints_of, read_observations, read_scene, read_targets
+from pickenv.calibration.residuals import residual_models
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.residual_models import (
-    AUTO,
-    TRIAL_FITTERS,
-    GateVerdict,
-    gate_residuals,
-    position_rms,
-    require_residual,
-    selected,
-)
 
 # What a calibration may be asked for, and what does not go with what was measured.
 
@@ -343,7 +335,7 @@ class Draft:
     left_out: tuple[LeftOut, ...] = ()
     fits: Mapping[str, fitting.Fit] = field(default_factory=dict)
     term_choice: TermChoice | None = None
-    gate: tuple[GateVerdict, ...] = ()
+    gate: tuple[residual_models.GateVerdict, ...] = ()
 
     @property
     def tracked(self) -> Measurements | None:
@@ -472,9 +464,8 @@ def _judged_by_blocks(draft: Draft) -> Result:
     if len(checked.train.joints) < 2:
         raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give `test`")
     folds = _folds(checked.train)
-    residuals = [
-        _chosen(checked, np.sort(np.concatenate([rows_out for _, rows_out in folds[1 - i :: 2]]))) for i in range(2)
-    ]
+    halves = [np.sort(np.concatenate([rows_out for _, rows_out in folds[1 - i :: 2]])) for i in range(2)]
+    residuals = [_chosen(checked, rows) for rows in halves]
     seeds = np.random.SeedSequence(draft.choices.seed).spawn(len(folds))
     parts = []
     for number, ((rows, rows_out), seed) in enumerate(zip(folds, seeds, strict=True)):
@@ -533,7 +524,7 @@ def _check(draft: Draft) -> Draft:
     if choices.fit not in FIT_WORDS:
         raise InputError(f"fit is '{choices.fit}'; give {', '.join(FIT_WORDS[:-1])} or {FIT_WORDS[-1]}")
     if choices.residual not in ("auto", "none"):  # said now, and not after the work
-        require_residual(choices.residual)
+        residual_models.require_residual(choices.residual)
     if type(train) is not type(test):
         raise InputError(
             f"{train.source} holds {train.kind}, but {test.source}, to judge by, {test.kind}; give rows of one kind"
@@ -616,9 +607,9 @@ def _learn(draft: Draft) -> Draft:
         return draft
     kind: str | None = None
     if pose_count(train.joints) >= ENOUGH_FOR_BLOCKS:
-        names = AUTO if choices.residual == "auto" else (choices.residual,)
+        names = residual_models.AUTO if choices.residual == "auto" else (choices.residual,)
         draft = replace(draft, gate=_verdicts(draft, train, names))
-        kind = selected(draft.gate)
+        kind = residual_models.selected(draft.gate)
     if choices.force and choices.residual != "auto":
         kind = choices.residual
     return draft if kind is None else _with_residual(draft, kind, train, None)
@@ -634,7 +625,7 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
     return draft.with_fit(f"{name}+{kind}", fitting.fit_remainder(best, kind, data, draft.rng, settings, report))
 
 
-def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[GateVerdict, ...]:
+def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[residual_models.GateVerdict, ...]:
     """Judge the residual models ``names`` within the training poses or positions ``train``; return their verdicts."""
     data = train.select(observations.equally_spaced(len(train), GATE_ROWS))
     name, best = draft.best
@@ -648,7 +639,8 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tupl
 
     report = None
     if draft.progress is not None:
-        rms = 1e3 * position_rms(train.misses(fitted, np.zeros(0)))
+        rms = 1e3 * residual_models.position_rms(train.misses(fitted, np.zeros(0)))
         report = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
-    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=report)
+    fitters = residual_models.TRIAL_FITTERS
+    return residual_models.gate_residuals(data, refit, rng, models=names, fitters=fitters, progress=report)

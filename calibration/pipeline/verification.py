@@ -426,16 +426,14 @@ def verify(
     late = _since(errors, expected) if region_known else None
     since = None if late is None else "from {}, row {}, on".format(*origins_of(poses).place(int(others[late])))
     gain = next(no_gain(before, errors, np.arange(count), "mm", count, "rows"), None)
-    verification = Verification(
-        "still good", "", mine, theirs, rms, count, len(used), moves, since, left_out, gain, measured
-    )
+    draft = Verification("still good", "", mine, theirs, rms, count, len(used), moves, since, left_out, gain, measured)
     cause: Cause | None = None
-    if not verification.as_promised:
+    if not draft.as_promised:
         far = np.arange(late or 0, count)  # rows before the change say nothing of its cause
         places = inside if late is None else None
         cause = _cause(there, judging.select(far), errors[far], expected[far], places, refit)
-    status, reason = _verdict(verification, cause)
-    return replace(verification, status=status, reason=reason, reservation=calibration.reservations().get(DO_NOT_USE))
+    status, reason = _verdict(draft, cause)
+    return replace(draft, status=status, reason=reason, reservation=calibration.reservations().get(DO_NOT_USE))
 
 
 def _untold(calibration: Calibration) -> list[str]:

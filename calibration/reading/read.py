@@ -168,7 +168,7 @@ def _data_set(
     ``given`` is the column description, None for pickenv's own format, and ``where`` its name for messages. With
     ``repeats``, a row may equal another to the last digit.
     """
-    tables, paths = [table for table, _ in logs], [path for _, path in logs]
+    tables = [table for table, _ in logs]
     names, links = (("", ""), ("", "")) if given is None else given.ends
     geometry = _between(geometry, links, where or tables[0].where)
     if given is not None and given.pixels is not None:
@@ -180,10 +180,7 @@ def _data_set(
         def read(table: table_files.Table, layout: description.DescriptionFile) -> Observations:
             return _rows([table], [layout], where, geometry, "fitted")
 
-        parts = [
-            recording.read_recording(table, path, given, where, geometry, read)
-            for table, path in zip(tables, paths, strict=True)
-        ]
+        parts = [recording.read_recording(table, path, given, where, geometry, read) for table, path in logs]
         tables, layouts, clocks = [part[0] for part in parts], [part[1] for part in parts], tuple(p[2] for p in parts)
     rows = _rows(tables, layouts, where, geometry, "fitted" if given is not None else _frames(tables))
     if not repeats:
@@ -378,9 +375,7 @@ def _poses(files: Files, _section: Any) -> Measurements:
                 "own (`columns`), or remove the attitudes"
             )
     if attitudes is not None:
-        values = np.concatenate(
-            [kind_readers.read_attitudes(table, layout.rotation) for table, layout in files.pairs()]
-        )
+        values = np.concatenate([kind_readers.read_attitudes(t, d.rotation) for t, d in files.pairs()])
         if attitudes.convention is None:
             fits = table_files.convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
@@ -389,9 +384,8 @@ def _poses(files: Files, _section: Any) -> Measurements:
                 "name one of them, or the maker's, as convention in [rotation]"
             )
         rotation = table_files.rotations(attitudes.convention, values)
-    rows = Measurements(
-        files.joints, position, rotation, files.geometry.prismatic, first.std, std_stated=first.measured.std is not None
-    )
+    stated = first.measured.std is not None
+    rows = Measurements(files.joints, position, rotation, files.geometry.prismatic, first.std, std_stated=stated)
     return rows if attitudes is None else replace(rows, attitude_std=attitudes.std)
 
 

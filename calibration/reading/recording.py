@@ -281,9 +281,8 @@ def read_recording(
     if not still:
         drift = timed.drift(solution.arm_model, unknowns_of(solution, timed)) * error
         channels = timed.rows.equations()[1]
-        layout = _with_std(
-            logs.layout, [np.sqrt(1.0 + np.mean(drift[channels == i] ** 2)) for i in np.unique(channels)]
-        )
+        factors = [np.sqrt(1.0 + np.mean(drift[channels == i] ** 2)) for i in np.unique(channels)]
+        layout = _with_std(logs.layout, factors)
     return logs.rows(times, groups), logs.layout if still else layout, clocks
 
 

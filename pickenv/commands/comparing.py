@@ -324,9 +324,8 @@ def figures(run: Path, out: Path | None = None, formats: Annotated[str, Option("
 
     record, folder = pickenv.inspect.read_run(run), out or run / "figures"
     drawings, suffixes = pickenv.inspect.drawings_of(record), formats.split(",")
-    separate(
-        {"RUN": _numbers(run)}, {"--out": [folder / f"{d.name}.{suffix}" for d in drawings for suffix in suffixes]}
-    )
+    files = [folder / f"{drawing.name}.{suffix}" for drawing in drawings for suffix in suffixes]
+    separate({"RUN": _numbers(run)}, {"--out": files})
     with added_to(record):
         written = pickenv.inspect.write_drawings(drawings, folder, suffixes)
     for path in written:

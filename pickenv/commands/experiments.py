@@ -201,10 +201,8 @@ def experiment(
     definition = load_experiment(file, quick=quick, seed=seed, changes=changes)
     if figures is not None and not (definition.figures or any(number.figure for number in definition.numbers)):
         raise InputError(f"{file} has no figures to write; leave --figures out, or name some in the file")
-    with showing.progress_bars() as report:
-        rows = pickenv.experiments.run(
-            definition.experiment, folder, backend=executor, workers=workers, progress=report
-        )
+    with showing.progress_bars() as bars:
+        rows = pickenv.experiments.run(definition.experiment, folder, backend=executor, workers=workers, progress=bars)
     tables = definition.estimates(rows)
     content = {
         "title": definition.title,
@@ -309,11 +307,9 @@ def study(
     settings, sobol_samples = full_study.quick() if quick else full_study, samples if sobol else 0
     settings = settings if seed is None else replace(settings, seed=seed)
     with locked(out):
+        how: dict[str, Any] = {"executor": executor, "workers": workers, "device": device}
         with showing.progress_bars("arms") as bars:
-            count = partial(bars, "arms")
-            summary = pickenv.experiments.run_study(
-                settings, out, executor=executor, workers=workers, device=device, progress=count
-            )
+            summary = pickenv.experiments.run_study(settings, out, **how, progress=partial(bars, "arms"))
 
         def written(folder: Path) -> list[Path]:  # the summary was written by the study, as its last file
             drawn = pickenv.experiments.write_outputs(folder, sobol_samples=sobol_samples) if report else []

@@ -238,10 +238,8 @@ def evaluate(
     require(*([] if out is None else ["pyarrow"]))
     long = workers is not None or any(models)  # else processes take longer to start than to work
     backend = "loky" if workers != 1 and long else "serial"
-    with progress_bars() as report:
-        rows = pickenv.experiments.run_policies(
-            settings, cache=cache, backend=backend, workers=workers, progress=report
-        )
+    with progress_bars() as bars:
+        rows = pickenv.experiments.run_policies(settings, cache=cache, backend=backend, workers=workers, progress=bars)
     content = tables.evaluation_content(settings, rows)
     deliver(
         [(json_file, content), (out, lambda folder: tables.write_evaluation(settings, rows, folder))],
