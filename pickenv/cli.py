@@ -113,8 +113,7 @@ def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
         "all of this one calibration: intervals are over fruit"
         + ("" if summary["reaches"] >= LEAST_ROWS else f", and means have none with fewer than {LEAST_ROWS}")
     )
-    rows = (row.values() for row in table)
-    showing.print_table(title, table[0], rows, words=("policy",), caption=caption)
+    showing.print_table(title, table[0], (row.values() for row in table), words=("policy",), caption=caption)
     for sentence in summary["matters"]:
         print(*folded(sentence, screen_width(showing.WIDTH)), sep="\n")
     if not details:

@@ -139,8 +139,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     gains: list[BlockedGain] = []
     if settings.gain_poses and settings.network:
         joints = grid_joints(plant.arm.nominal, settings.gain_poses, np.random.default_rng(of_grid))
-        designs = dict(zip((PLANT, FIELD), of_gains, strict=True))
-        gains = blocked_gains(designs, joints, progress=report)
+        gains = blocked_gains(dict(zip((PLANT, FIELD), of_gains, strict=True)), joints, progress=report)
     comparison = _comparison(settings, plant, result, compensators, reaches)
     lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     cases = {plant.name: pick_changes(lateral[0], lateral[-1])}

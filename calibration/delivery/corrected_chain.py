@@ -404,8 +404,7 @@ def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
     """
     axis = laid.rotation @ joint.axis
     turn = Rotation.align_vectors(sign * Z[None], axis[None])[0].as_matrix()
-    position = laid.position if joint.slides else Z * laid.position[2]
-    return Pose(position, turn @ laid.rotation)
+    return Pose(laid.position if joint.slides else Z * laid.position[2], turn @ laid.rotation)
 
 
 # What patching a robot's own file shares, whatever its format. Is it this arm, where do its joints stand now, what

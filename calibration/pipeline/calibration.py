@@ -277,8 +277,7 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
         for frame in station.frames:
             label = f"{frame}{station.owners.get(frame, station.number)}"
             names = [name.replace(f"{frame}_", f"{label}_") if name.startswith(f"{frame}_") else name for name in names]
-        pairs = [(names.index(name), kept.index(name)) for name in kept if name in names]
-        columns, places = np.array(pairs).T
+        columns, places = np.array([(names.index(name), kept.index(name)) for name in kept if name in names]).T
         jacobian = model.jacobian(station.data.joints, station.data.conditions)[..., columns]
         parts.append(np.einsum("nip,pq,niq->ni", jacobian, found.covariance[np.ix_(places, places)], jacobian))
     return np.concatenate(parts)

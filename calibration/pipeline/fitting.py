@@ -433,10 +433,8 @@ def missed_by(found: Identification, data: Observations) -> Array:
 
     They have the shape ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
     """
-    tracked = tracked_rows(found, data)
-    if tracked is None:
-        return data.misses(found.arm_model, unknowns_of(found, data))
-    return tracked.difference(found.arm_model)
+    model, tracked = found.arm_model, tracked_rows(found, data)
+    return data.misses(model, unknowns_of(found, data)) if tracked is None else tracked.difference(model)
 
 
 def tracked_rows(found: Identification, data: Observations) -> Measurements | None:

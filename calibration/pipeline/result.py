@@ -248,8 +248,8 @@ class Result:
         blocks += [screen.stiffness_block(self.stiffnesses), screen.harmonic_block(self.harmonics)]
         blocks += [self._gate()] if self.gate else []
         blocks += [] if self.pixels is None else [fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))]
-        sure = self.uncertainty.block(self._within95)
-        return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
+        blocks += [self.uncertainty.block(self._within95), self._facts()]
+        return tuple(block for block in blocks if block.rows)
 
     def __str__(self) -> str:
         """Return `summary`."""

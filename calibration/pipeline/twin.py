@@ -107,8 +107,7 @@ def twin(
     """
     calibration.refuse_another(arm)
     if geometry_only:
-        model = ArmModel(calibration.identified)
-        calibration = replace(calibration.without_residual(), model=model)
+        calibration = replace(calibration.without_residual(), model=ArmModel(calibration.identified))
     elif calibration.arm.coupling is not None:
         raise InputError(f"a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet")
     sure = uncertainty_from(calibration.record)

@@ -318,9 +318,8 @@ class Verification:
         """Return the report for the terminal, which begins with the verdict."""
         heads = ("arm", "RMS (mm)", "mean (mm)", "95 % interval (mm)", "p95 (mm)", "max (mm)")
         rows = [(name, *error_cells(s)) for name, s in (("nominal", self.nominal), ("calibrated", self.calibrated))]
-        frames = "base and tool as they were"
-        if self.refitted:
-            frames = f"{' and '.join(self.moved)} found from {self.refitted} other rows, of both arms"
+        anew = f"{' and '.join(self.moved)} found from {self.refitted} other rows, of both arms"
+        frames = anew if self.refitted else "base and tool as they were"
         how = f"{frames}; expected of the calibrated arm: {figure(self.expected)} mm RMS"
         gain = f"{'no' if self.no_gain else 'yes'}: {figure(self.calibrated.rms)} of {figure(self.nominal.rms)} mm RMS"
         promise = f"{'yes' if self.ratio <= GROWN else 'no'}: {figure(self.ratio)} times the RMS expected"

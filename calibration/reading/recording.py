@@ -351,8 +351,7 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
     for name in {part for text in names for part in _plain(text, table.header)}:
         lost |= table.fill_blanks(name)
     if layout.kind in ("position", "reflectors"):
-        places = table.values(layout.columns).reshape(len(lost), -1, 3)
-        lost |= (places == 0.0).all(axis=2).any(axis=1)
+        lost |= (table.values(layout.columns).reshape(len(lost), -1, 3) == 0.0).all(axis=2).any(axis=1)
     rows = np.flatnonzero(~lost).tolist()
     if len(rows) < LEAST_SAMPLES:
         raise InputError(f"{table.where} has {len(rows)} samples; a recording needs at least {LEAST_SAMPLES}")

@@ -197,8 +197,7 @@ def experiment(
 
     folder = out or Path("runs") / file.stem
     separate({"FILE": file}, {"--out": folder / RECORD, "--json": json_file, "--table": table})
-    changes = dict(map(_change, change or []))
-    definition = load_experiment(file, quick=quick, seed=seed, changes=changes)
+    definition = load_experiment(file, quick=quick, seed=seed, changes=dict(map(_change, change or [])))
     if figures is not None and not (definition.figures or any(number.figure for number in definition.numbers)):
         raise InputError(f"{file} has no figures to write; leave --figures out, or name some in the file")
     with showing.progress_bars() as bars:

@@ -136,11 +136,6 @@ def _refuse_class(option: str, plants: Sequence[str]) -> None:
         raise InputError(f"`{option}` changes nothing: plant '{plants[0]}' names its class itself; leave it out")
 
 
-def _is_told(plant: pickenv.Plant) -> bool:
-    """Return whether a plant is a twin without tolerances, because its calibration dropped no parameter."""
-    return plant.posterior is not None and not len(plant.posterior.unseen)
-
-
 def _was_given(context: typer.Context, name: str) -> bool:
     """Return whether the option with the parameter ``name`` was given on the command line.
 
@@ -226,7 +221,8 @@ def evaluate(
     if _was_given(context, "tolerances"):
         plants = [name for name in settings.plants if not name.startswith(RUNG)]
         _refuse_class("tolerances", plants)
-        if plants and all(_is_told(pickenv.load_plant(name)) for name in plants):
+        twins = (pickenv.load_plant(name).posterior for name in plants)
+        if plants and all(twin is not None and not len(twin.unseen) for twin in twins):
             raise InputError(
                 f"`tolerances` changes nothing: the calibration behind twin '{plants[0]}' tells all of its parameters, "
                 "with priors of its own class; leave it out"
