@@ -424,8 +424,7 @@ def calibrate(
     if choices.workspace is not None:
         workspace_joints(choices.workspace, arm.nominal, choices.frames)  # refused now, and not after the work
     rng = rng or np.random.default_rng(choices.seed)
-    few = test is None and test_rows is None and train.poses is not None
-    few = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
+    few = test_rows is None and train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("`test_rows` is for the random split; here every row, or picture, is held out once")

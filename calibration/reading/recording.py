@@ -320,9 +320,8 @@ def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: 
         layout = replace(layout, reflectors=replace(layout.reflectors, lost=()))
     stamps, entries = _times(table, told.time, told.unit), _times(log, told.joints_time, told.joints_unit)
     joints = kind_readers.read_joints(log, layout, where, geometry)
-    jumps = np.abs(np.diff(joints, axis=0)) > np.pi
-    if jumps[:, ~np.array(geometry.prismatic)].any():
-        row, joint = np.argwhere(jumps)[0]
+    jumps = (np.abs(np.diff(joints, axis=0)) > np.pi) & ~np.array(geometry.prismatic)
+    for row, joint in np.argwhere(jumps)[:1]:
         place = log.cell(row + 1, layout.joint_columns[joint])
         raise InputError(f"{place} jumps by more than half a turn; write the joints without jumps of 360 deg")
     return Logs(
