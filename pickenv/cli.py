@@ -14,8 +14,6 @@ from typer import Option
 import pickenv
 from pickenv.base import absent_extras, command_for, command_line, folded, locked, screen_width
 from pickenv.commands import check, comparing, corrections, experiments, learning, plants, showing
-from pickenv.commands.corrections import calibrate
-from pickenv.commands.experiments import bench
 from pickenv.commands.guard import INTERRUPTED, guarded
 
 app = typer.Typer(
@@ -146,7 +144,7 @@ def _print_gains(blocked: dict[str, Any]) -> None:
 
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Measure and correct a robot": (
-        calibrate,
+        corrections.calibrate,
         corrections.verify,
         corrections.plan_poses,
         corrections.board,
@@ -177,7 +175,7 @@ for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
         cls = comparing.SeveralValues if _command is comparing.compare else showing.CommandOfNames
         app.command(rich_help_panel=_purpose, cls=cls)(_command)
-app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
+app.add_typer(experiments.bench, rich_help_panel="Simulate, learn and judge")
 
 
 def main() -> None:

@@ -20,7 +20,6 @@ from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_
 from pickenv.base import Ends, InputError, folded, require, screen_width, shortened
 from pickenv.calibration.assessment import instrument, screen
 from pickenv.calibration.assessment.quality import Quality, grade_quality, workspace_error
-from pickenv.calibration.assessment.screen import ErrorStatistics, error_statistics
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification import diagnosis
 from pickenv.calibration.identification.term_choice import TermChoice
@@ -129,23 +128,23 @@ class Result:
         return "geometry" if last in (fitting.GEOMETRIC, fitting.AS_CHOSEN) else last
 
     @property
-    def best(self) -> ErrorStatistics:
+    def best(self) -> screen.ErrorStatistics:
         """Statistics of the held-out position errors of the model that is used, in `miss_unit`."""
         return list(self.position.values())[-1]
 
     @cached_property
-    def position(self) -> dict[str, ErrorStatistics]:
+    def position(self) -> dict[str, screen.ErrorStatistics]:
         """Statistics of held-out position errors by model, in `miss_unit`."""
         blocks = self.held_out.together
         scale = MISS_UNITS[self.miss_unit]
-        return {name: error_statistics(values[:, :3] * scale, blocks) for name, values in self.errors.items()}
+        return {name: screen.error_statistics(values[:, :3] * scale, blocks) for name, values in self.errors.items()}
 
     @cached_property
-    def attitude(self) -> dict[str, ErrorStatistics]:
+    def attitude(self) -> dict[str, screen.ErrorStatistics]:
         """Statistics of held-out attitude errors by model, deg; empty if no attitude was measured."""
         wide = {name: values for name, values in self.errors.items() if values.shape[1] == 6}
         blocks = self.held_out.together
-        return {name: error_statistics(np.degrees(values[:, 3:]), blocks) for name, values in wide.items()}
+        return {name: screen.error_statistics(np.degrees(values[:, 3:]), blocks) for name, values in wide.items()}
 
     @cached_property
     def calibration(self) -> Calibration:

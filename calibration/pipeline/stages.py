@@ -540,8 +540,7 @@ def _check(draft: Draft) -> Draft:
     else:
         refuse_options(train, choices)
         train, left_out = without_blind_views(train)
-    known_frames = choices.frames == "known"
-    train, test, far = checked_rows(draft.arm, train, test, known=known_frames, robust=choices.robust)
+    train, test, far = checked_rows(draft.arm, train, test, known=choices.frames == "known", robust=choices.robust)
     needs_rows = choices.residual not in ("auto", "none") and choices.learn_from is None and not choices.force
     if needs_rows and (count := pose_count(train.joints)) < ENOUGH_FOR_BLOCKS:
         raise InputError(
@@ -562,8 +561,7 @@ def _identify(draft: Draft) -> Draft:
     aligned = fitting.fit_frames(arm, draft.train, choices.frames == "known")
     start = arm.nominal if aligned is None else aligned.geometry
     tolerances, scale = choices.tolerances or arm.tolerance_class, choices.prior_scale
-    known_frames = aligned is None
-    model = prior_model(arm.name, start, known=known_frames, fit=choices.fit, tolerances=tolerances, scale=scale)
+    model = prior_model(arm.name, start, known=aligned is None, fit=choices.fit, tolerances=tolerances, scale=scale)
     return draft.with_fit(GEOMETRY, fitting.fit_geometry(arm, draft.train, aligned, model))
 
 

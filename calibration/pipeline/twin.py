@@ -296,5 +296,4 @@ def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, tu
     weight[..., : scaled.shape[-1]] = mean.reshape(outputs, 2, -1)
     middle, periodic = tuple(inputs.mean[:joints].tolist()), tuple(inputs.periodic.tolist())
     features = Features(np.ascontiguousarray(waves, dtype=np.float32), middle, periodic, outputs)
-    axes = tuple(map(tuple, turn.tolist()))
-    return ResidualField(features, weight.astype(np.float32), tuple(offset.tolist()), axes)
+    return ResidualField(features, weight.astype(np.float32), tuple(offset.tolist()), tuple(map(tuple, turn.tolist())))

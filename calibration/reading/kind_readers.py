@@ -148,12 +148,10 @@ def read_joints(table: Table, layout: description.DescriptionFile, where: str, g
         InputError: If the number or the units of the joint columns do not fit the arm. Also if a joint lies far beyond
             its limits, which almost always means a wrong unit, deg for rad or mm for m.
     """
-    columns, n = [], geometry.joints
-    if len(layout.joint_units) != n:
+    columns, count, n = [], len(layout.joint_units), geometry.joints
+    if count != n:
         names = listed(geometry.joint_names)
-        raise InputError(
-            f"{where}: {len(layout.joint_units)} joint columns are named, but the arm has {n} joints: {names}"
-        )
+        raise InputError(f"{where}: {count} joint columns are named, but the arm has {n} joints: {names}")
     for i, (column, unit) in enumerate(zip(layout.joint_columns, layout.joint_units, strict=True)):
         kind, units = ("prismatic", description.LENGTHS) if geometry.prismatic[i] else ("revolute", description.ANGLES)
         if unit not in units:
@@ -162,12 +160,11 @@ def read_joints(table: Table, layout: description.DescriptionFile, where: str, g
         values = table.value(column) * scale
         room = upper - lower if geometry.prismatic[i] else max(upper - lower, 2 * np.pi)
         outside = (values < lower - room) | (values > upper + room)
-        if outside.any():
-            row = int(np.argmax(outside))
+        for row in np.flatnonzero(outside)[:1]:
             likely = {"rad": "deg", "deg": "rad", "m": "mm", "mm": "m"}[unit]
             mixed = f" ({int(outside.sum())} of {len(values)} rows are so)" if not outside.all() else ""
             raise InputError(
-                f"{table.where}: row {table.lines[row]}, column '{column}' is {values[row] / scale:.6g} {unit}, but "
+                f"{table.cell(row, column)} is {values[row] / scale:.6g} {unit}, but "
                 f"joint {i + 1} ({geometry.joint_names[i]}) moves over {lower / scale:.4g} to {upper / scale:.4g} "
                 f"{unit}; its unit is probably {likely}{mixed}"
             )

@@ -26,8 +26,6 @@ from pickenv.calibration.model.measurements import (
 )
 from pickenv.calibration.model.observations import Clocks, Observations, Origins, origins_of
 from pickenv.calibration.reading import description, kind_readers, recording, table_files
-from pickenv.calibration.reading.kind_readers import Files
-from pickenv.calibration.reading.table_files import read_log
 
 
 def read_measurements(
@@ -105,7 +103,7 @@ def read_scene(
     else:
         form = () if given is None else (given.separator, given.decimal, given.names)
         topic = None if given is None or given.recording is None else given.recording.topic
-        logs = [(read_log(Path(path), topic, *form), Path(path)) for path in paths]
+        logs = [(table_files.read_log(Path(path), topic, *form), Path(path)) for path in paths]
     return [_data_set(part, geometry, layout, where, repeats) for layout, part in _by_scene(logs, given)]
 
 
@@ -200,7 +198,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
         InputError: If a joint column is missing or its unit unknown, or if a condition's column is not of that format.
     """
     expected = joint_columns(geometry.prismatic)
-    joints, units = [], []
+    joints = dict[str, str]()  # the unit of each column
     for name in expected:
         stem = name.rpartition("_")[0]
         columns = [column for column in header if column.rpartition("_")[0] == stem]
@@ -209,8 +207,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
             faults = ("is missing", f"has the unknown unit '{unit}'", "is given twice")
             fault, ours = faults[min(len(columns), 2)], f"{', '.join(expected)}, x_mm, y_mm, z_mm"
             raise InputError(f"{where}: joint column '{name}' {fault}; our format has {ours}")
-        joints.append(columns[0])
-        units.append(unit)
+        joints[columns[0]] = unit
     _refuse_more_joints(header, expected, geometry, where)
     position_unit = "m" if "x_m" in header else "mm"
     has_rotation = any(column.startswith(("rx_", "ry_", "rz_")) for column in header)
@@ -223,7 +220,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
             )
     angles, (warmth, mass) = tuple(f"r{axis}_{rotation_unit}" for axis in "xyz"), OWN_CONDITIONS
     return description.DescriptionFile(
-        joints=description.JointsTable(tuple(joints), units=tuple(units)),
+        joints=description.JointsTable(tuple(joints), units=tuple(joints.values())),
         position=description.LengthsTable(
             columns=tuple(f"{axis}_{position_unit}" for axis in "xyz"), unit=position_unit
         ),
@@ -309,7 +306,7 @@ def _rows(
     lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
     origins = Origins(tuple(table.where for table in tables), file, lines)
     where = where or tables[0].where
-    files = Files(tables, layouts, where, geometry, joints, source, origins)
+    files = kind_readers.Files(tables, layouts, where, geometry, joints, source, origins)
     kind_readers.refuse_repeated_joints(files.first, where, joints, geometry)
     rows: Any = get("instrument", files.first.kind)(files, files.first.measured)
     known: dict[str, Frames] = {} if frames == "fitted" else {"frames": frames}
@@ -339,7 +336,7 @@ def _frames(tables: list[table_files.Table]) -> Frames:
     return "known" if "known" in places_of else "fitted"
 
 
-def _conditions(files: Files) -> Conditions:
+def _conditions(files: kind_readers.Files) -> Conditions:
     """Read payload, temperature relative to the reference, and torques; only those that every file records."""
     conditions: dict[str, Array] = {}
     for name in ("temperature", "payload", "torque"):
@@ -357,7 +354,7 @@ def _conditions(files: Files) -> Conditions:
 
 
 @register("instrument", "position")
-def _poses(files: Files, _section: Any) -> Measurements:
+def _poses(files: kind_readers.Files, _section: Any) -> Measurements:
     """Read poses or positions.
 
     Raises:

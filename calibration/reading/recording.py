@@ -253,10 +253,8 @@ def read_recording(
     """
     logs = _logs(table, path, layout, where, geometry)
     timed, found, first, middle = _first_guess(logs, read)
-    sure = sigma_of(found, timed) <= OUTLIER_SIGMA
-    model = prior_model("recording", found.geometry, known=False)
-    timed = timed.select(sure)
-    solution = solve(model, timed)
+    timed = timed.select(sigma_of(found, timed) <= OUTLIER_SIGMA)
+    solution = solve(prior_model("recording", found.geometry, known=False), timed)
     std = dict(zip(solution.identifiability.names, solution.standard_deviation, strict=True))
     offset, rate = (solution.unknowns[name] for name in ("clock_offset", "clock_rate"))
     times = middle - first + (logs.times - middle) / (1.0 + rate) - offset
@@ -389,10 +387,9 @@ def _times(table: Table, name: str, unit: str) -> Array:
     steps = np.diff(times)
     if len(times) < 4:
         raise InputError(f"{table.where} has {len(times)} rows; a log needs at least 4")
-    if (steps <= 0).any():
-        row = int(np.argmax(steps <= 0)) + 1
-        fault = "repeats the time before it" if steps[row - 1] == 0 else "lies before the time above it"
-        raise InputError(f"{table.cell(row, name)} {fault}; give a log in the order of its clock, each time once")
+    for row in np.flatnonzero(steps <= 0)[:1]:
+        fault = "repeats the time before it" if steps[row] == 0 else "lies before the time above it"
+        raise InputError(f"{table.cell(row + 1, name)} {fault}; give a log in the order of its clock, each time once")
     return np.asarray(times)
 
 

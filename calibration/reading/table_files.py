@@ -160,8 +160,7 @@ class Table:
     def column(self, name: str) -> Array:
         """Return a column as finite numbers ``(N,)``."""
         if name not in self.cache:
-            cells = zip(self.texts(name), self.lines, strict=True)
-            self.cache[name] = np.array([self._number(text, name, line) for text, line in cells])
+            self.cache[name] = np.array([self._number(text, name, row) for row, text in enumerate(self.texts(name))])
         return self.cache[name]
 
     def index(self, name: str) -> int:
@@ -188,14 +187,14 @@ class Table:
         """
         texts = self.texts(name)
         blank = [text.lower() in ("", "nan", "null", "none", "na", "-") for text in texts]
-        cells = zip(texts, blank, self.lines, strict=True)
-        self.cache[name] = np.array([0.0 if lost else self._number(text, name, line) for text, lost, line in cells])
+        numbers = [0.0 if blank[row] else self._number(text, name, row) for row, text in enumerate(texts)]
+        self.cache[name] = np.array(numbers)
         return np.array(blank)
 
-    def _number(self, text: str, name: str, line: int) -> float:
+    def _number(self, text: str, name: str, row: int) -> float:
         """Return the finite number that a cell's ``text`` spells, with this file's decimal sign.
 
-        Column ``name`` and ``line`` are for messages.
+        Column ``name`` and the index ``row``, from 0, are for messages.
         """
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
         value = decimal_number("" if grouped else text.replace(self.decimal, "."))
@@ -203,7 +202,7 @@ class Table:
             return value
         fault = f"holds '{shortened(text)}', which is not a number" if text else "is empty"
         predicate = fault if value is None else f"is {shortened(text)}"
-        raise InputError(f"{self.where}: row {line}, column '{shortened(name)}' {predicate}; correct or remove the row")
+        raise InputError(f"{self.cell(row, shortened(name))} {predicate}; correct or remove the row")
 
     def value(self, expression: str) -> Array:
         """Return the values ``(N,)`` of a column, or of an expression of columns with + - * / and numbers.
@@ -220,9 +219,9 @@ class Table:
             raise InputError(
                 f"{self.where}: cannot compute '{shortened(expression)}'; give numbers and brackets of ordinary size"
             ) from error
-        if not np.isfinite(values).all():
-            place = f"{self.where}: row {self.lines[int(np.argmin(np.isfinite(values)))]}"
-            raise InputError(f"{place}, '{shortened(expression)}' divides by zero or overflows; correct it")
+        for row in np.flatnonzero(~np.isfinite(values))[:1]:
+            place = f"{self.where}: row {self.lines[row]}, '{shortened(expression)}'"
+            raise InputError(f"{place} divides by zero or overflows; correct it")
         return values
 
     def values(self, expressions: tuple[str, ...]) -> Array:
