@@ -9,7 +9,7 @@ units; times in seconds.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import attrgetter
@@ -345,7 +345,7 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
         names: The columns or expressions whose cells must not be empty.
     """
     lost = np.zeros(len(table.lines), dtype=bool)
-    for name in {part for text in names for part in _plain(text, table.header)}:
+    for name in _columns_in(names, table.header):
         lost |= table.fill_blanks(name)
     if layout.kind in ("position", "reflectors"):
         lost |= (table.values(layout.columns).reshape(len(lost), -1, 3) == 0.0).all(axis=2).any(axis=1)
@@ -361,18 +361,18 @@ def _complete(log: Table, names: tuple[str, ...]) -> Table:
     A topic may also carry other messages, such as those of a gripper alone.
     """
     lacking = np.zeros(len(log.lines), dtype=bool)
-    for name in {part for text in names for part in _plain(text, log.header)}:
+    for name in _columns_in(names, log.header):
         lacking |= np.array([not cell for cell in log.texts(name)])
     if lacking.all():
         raise InputError(f"no message of {log.where} has all of {listed(names)}; record a topic where one has them all")
     return log.select(np.flatnonzero(~lacking).tolist())
 
 
-def _plain(text: str, header: list[str]) -> Iterator[str]:
-    """Yield the columns in ``header`` that the column expression ``text`` uses."""
-    tree, quoted = table_files.expression_tree(text)
-    words = [] if tree is None else [node.id for node in ast.walk(tree) if isinstance(node, ast.Name)]
-    yield from (name for name in (text, *words, *quoted) if name in header)
+def _columns_in(expressions: Sequence[str], header: list[str]) -> set[str]:
+    """Return the columns in ``header`` that expressions of columns use."""
+    trees = [tree for tree in map(table_files.expression_tree, expressions) if tree is not None]
+    words = {node.id for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    return (words | set(expressions)) & set(header)
 
 
 def _times(table: Table, name: str, unit: str) -> Array:

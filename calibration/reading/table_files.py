@@ -112,10 +112,11 @@ LONGEST_EXPRESSION = 1000
 """Length of an expression, in characters, up to which it is parsed; a parser's depth is limited."""
 
 
-Functions = dict[type[ast.AST], Callable[..., Any]]
-BINARY: Functions = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
-SIGNS: Functions = {ast.USub: operator.neg, ast.UAdd: operator.pos}
-"""Signs that are allowed in expressions of columns, each with the function that computes it; `BINARY` has operators."""
+OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
+    **{ast.USub: operator.neg, ast.UAdd: operator.pos},
+}
+"""Operators and signs that are allowed in expressions of columns, each with the function that computes it."""
 
 
 class Table:
@@ -209,12 +210,12 @@ class Table:
 
         In an expression, column names that are no identifiers are written in backticks.
         """
-        tree, quoted = expression_tree(expression)
+        tree = expression_tree(expression)
         if expression in self.header or tree is None:
             return self.column(expression)  # refused if the file has no such column
         try:
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                values = np.broadcast_to(self._evaluate(tree, expression, quoted), len(self.rows)).astype(float)
+                values = np.broadcast_to(self._evaluate(tree, expression), len(self.rows)).astype(float)
         except (OverflowError, RecursionError) as error:  # a constant of 400 digits, brackets in brackets
             raise InputError(
                 f"{self.where}: cannot compute '{shortened(expression)}'; give numbers and brackets of ordinary size"
@@ -228,43 +229,45 @@ class Table:
         """Return the values ``(N, k)`` of k columns or expressions."""
         return np.stack([self.value(expression) for expression in expressions], -1)
 
-    def _evaluate(self, node: ast.AST, expression: str, quoted: list[str]) -> Any:
+    def _evaluate(self, node: ast.AST, expression: str) -> Any:
         """Return the value of a syntax tree: a number, or an array ``(N,)`` if it uses columns.
 
         Args:
             node: The tree, from `expression_tree`.
             expression: The whole expression, for messages.
-            quoted: The column names in backticks, from `expression_tree`.
         """
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
                 return np.float64(value)
             case ast.Name(id=name):
-                place = re.fullmatch(r"__quoted_(\d+)", name)
-                return self.column(quoted[int(place[1])] if place else name)
-            case ast.BinOp(left=left, op=op, right=right) if function := BINARY.get(type(op)):
-                return function(*(self._evaluate(part, expression, quoted) for part in (left, right)))
-            case ast.UnaryOp(op=op, operand=operand) if sign := SIGNS.get(type(op)):
-                return sign(self._evaluate(operand, expression, quoted))
+                return self.column(name)
+            case ast.BinOp(left=left, op=op, right=right) if function := OPERATORS.get(type(op)):
+                return function(self._evaluate(left, expression), self._evaluate(right, expression))
+            case ast.UnaryOp(op=op, operand=operand) if sign := OPERATORS.get(type(op)):
+                return sign(self._evaluate(operand, expression))
         fault = f"{self.where}: cannot compute '{shortened(expression)}'"
         if isinstance(node, ast.Attribute):  # a column of another file, such as pose.x
             raise InputError(f"{fault}: there is no column '{shortened(ast.unparse(node))}', but {listed(self.header)}")
         raise InputError(f"{fault}; use names, numbers and + - * / only")
 
 
-def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:
-    """Parse an expression of columns: return its syntax tree, and the column names that it has in backticks.
+def expression_tree(expression: str) -> ast.expr | None:
+    """Parse an expression of columns: return its syntax tree, in which names in backticks are names as any other.
 
-    The tree is None if the expression cannot be parsed.
+    The result is None if the expression cannot be parsed.
     """
-    quoted = re.findall(r"`([^`]+)`", expression)
-    text = expression
-    for i, name in enumerate(quoted):
-        text = text.replace(f"`{name}`", f"__quoted_{i}")
+    text, quoted = expression, {f"__quoted_{i}": name for i, name in enumerate(re.findall(r"`([^`]+)`", expression))}
+    for mark, name in quoted.items():
+        text = text.replace(f"`{name}`", mark)
+    if len(text) > LONGEST_EXPRESSION:
+        return None
     with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
-        if len(text) <= LONGEST_EXPRESSION:
-            return ast.parse(text.strip(), mode="eval").body, quoted
-    return None, quoted
+        tree = ast.parse(text.strip(), mode="eval").body
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name):
+                node.id = quoted.get(node.id, node.id)
+        return tree
+    return None
 
 
 def refuse_repeated(paths: Sequence[str | Path]) -> None:
