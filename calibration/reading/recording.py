@@ -563,11 +563,9 @@ def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
     noise = np.minimum(np.median(jerks, axis=0) / (0.6745 * np.sqrt(20.0)), np.percentile(windows.std(axis=2), 10, 0))
     digit = np.array([np.min(part[part > 0], initial=0.0) if (part > 0).any() else 0.0 for part in jerks.T])
     within = np.clip(np.maximum(SPREADS * noise, 1.5 * np.minimum(digit, noise)), FINEST, COARSEST)
-    starts = np.flatnonzero((np.ptp(windows, axis=2) <= within).all(axis=1))
-    resting = np.zeros(len(logs.log), dtype=bool)
-    for start in starts:
-        resting[start : start + width] = True
-    edges = np.flatnonzero(np.diff(np.r_[0, resting.astype(int), 0]))
+    still = (np.ptp(windows, axis=2) <= within).all(axis=1)
+    resting = np.convolve(still, np.ones(width, dtype=int)) > 0  # every entry of a window that stands still
+    edges = np.flatnonzero(np.diff(np.r_[False, resting, False].astype(int)))
     groups = []
     for first, last in edges.reshape(-1, 2):
         begin, end = logs.log[first] + SETTLING, logs.log[last - 1] - 2.0 * step
