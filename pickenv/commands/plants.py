@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -132,14 +131,12 @@ def iso9283(
     More: commands.md
     """
     typed = dict(locals())
-    of_rows, of_both = ("arm", "columns", "frames", "details"), ("rows", "json_file")
-    usual = {name: parameter.default for name, parameter in signature(iso9283).parameters.items()}
-    options = [name for name, value in typed.items() if value not in (usual[name], [])]
-    stray = [name for name in options if name not in of_both and (name in of_rows) != (rows is not None)]
-    if stray:
-        other = "`rows`" if rows is None else "a simulated arm"
-        raise InputError(f"`{stray[0]}` goes with {other} only; leave it out{'' if rows is None else ', or `rows`'}")
-    if rows is not None:
+    of_rows = {"arm", "columns", "frames", "details"}
+    if rows is None:
+        showing.refuse_stray(iso9283, typed, of_rows, "`rows` only; leave it out")
+    else:
+        of_plants = typed.keys() - of_rows - {"rows", "json_file"}
+        showing.refuse_stray(iso9283, typed, of_plants, "a simulated arm only; leave it out, or `rows`")
         deliver_measured(rows, arm, columns, frames, details, json_file)
         return
     if allow and calibration is None:
@@ -315,11 +312,9 @@ def conditions(
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
     is_calibration = subject.endswith(".npz")
-    usual = {name: parameter.default for name, parameter in signature(conditions).parameters.items()}
-    of_other = ("arms", "tolerances", "residual") if is_calibration else ("plant", "allow")
-    if stray := [name for name in of_other if typed[name] not in (usual[name], [])]:
-        other = "a plant" if is_calibration else "a calibration (.npz)"
-        raise InputError(f"`{stray[0]}` goes with {other} as SUBJECT only; leave it out")
+    of_other = {"arms", "tolerances", "residual"} if is_calibration else {"plant", "allow"}
+    other = "a plant" if is_calibration else "a calibration (.npz)"
+    showing.refuse_stray(conditions, typed, of_other, f"{other} as SUBJECT only; leave it out")
     folder = [] if out is None else [out / RECORD, out / CONDITIONS]
     separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
     machine = pickenv.load_plant(plant if is_calibration else subject)
