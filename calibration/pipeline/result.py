@@ -174,8 +174,8 @@ class Result:
             "stations": self.set_ups or None,
             "left_out": [f"{item.file}:{item.line}" for item in self.left_out if not item.kept],
         }
-        known = {name: entry for name, entry in entries.items() if entry is not None}
-        return replace(fitted, record={**fitted.record, **known})
+        stated = {name: entry for name, entry in entries.items() if entry is not None}
+        return replace(fitted, record={**fitted.record, **stated})
 
     @cached_property
     def harmonics(self) -> list[dict[str, Any]]:
@@ -242,8 +242,8 @@ class Result:
             scale, (names, blocked_rms, _) = MISS_UNITS[self.miss_unit], self.terms
             rows = tuple((name, screen.figure(value * scale)) for name, value in blocked_rms.items())
             heads = ("terms", f"RMS on blocks ({self.miss_unit})")
-            chosen = f"{names}, chosen on blocks of the training rows"
-            blocks.append(screen.Block("Further terms", heads, rows, chosen, "terms"))
+            choice = f"{names}, chosen on blocks of the training rows"
+            blocks.append(screen.Block("Further terms", heads, rows, choice, "terms"))
         blocks += [screen.stiffness_block(self.stiffnesses), screen.harmonic_block(self.harmonics)]
         blocks += [self._gate()] if self.gate else []
         blocks += [] if self.pixels is None else [fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))]

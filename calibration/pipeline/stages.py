@@ -234,8 +234,8 @@ def _joined(
     those of `given_rows`, with ``sets`` in place of the files.
     """
     named = any(any(origins_of(part).scene) for part in sets)
-    whole = any(part.conditions.between is not None for part in sets)
-    if stations is not None and (named or whole):
+    trees = any(part.conditions.between is not None for part in sets)
+    if stations is not None and (named or trees):
         raise InputError("[scene] says which files share a base or a tool; leave `stations` out")
     if named:
         if like is not None and like.stations:
@@ -245,7 +245,7 @@ def _joined(
         tracked = [file for part in sets if part.poses is not None for file in _files(part.poses)]
         if isinstance(like, Stacked) and tracked:
             return placed(arm, like, tracked)
-        free = not known and like is None and not whole and all(part.frames == "fitted" for part in tracked)
+        free = not known and like is None and not trees and all(part.frames == "fitted" for part in tracked)
         if len(tracked) > 1 and free and all(part.poses is not None for part in sets):
             several = by_set_up(arm, tracked)
             return sets[0] if len(sets) == 1 and several.poses is not None else several

@@ -245,8 +245,8 @@ def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
     position_std, attitude_std, source = scatter
     if position >= position_std:
         return scatter
-    said = f"the rows, which scatter less than {position_std * 1e3:.4f} mm, which is {source}"
-    return position, min(attitude, attitude_std), said
+    origin = f"the rows, which scatter less than {position_std * 1e3:.4f} mm, which is {source}"
+    return position, min(attitude, attitude_std), origin
 
 
 def _process(

@@ -324,8 +324,8 @@ class Verification:
         gain = f"{'no' if self.no_gain else 'yes'}: {figure(self.calibrated.rms)} of {figure(self.nominal.rms)} mm RMS"
         promise = f"{'yes' if self.ratio <= GROWN else 'no'}: {figure(self.ratio)} times the RMS expected"
         region = "not known" if self.measured is None else f"{100 * self.measured:.0f} % of the rows lie where it was"
-        asked = ("does it beat the nominal arm", "is it as good as promised", "was this region measured")
-        questions = Block("Three questions", (), tuple(zip(asked, (gain, promise, region), strict=True)))
+        titles = ("does it beat the nominal arm", "is it as good as promised", "was this region measured")
+        questions = Block("Three questions", (), tuple(zip(titles, (gain, promise, region), strict=True)))
         blocks = [questions, Block(f"Errors on {self.rows} rows", heads, tuple(rows), how)]
         if self.moved:
             moves = tuple((name, *self._moved(name)) for name in self.moved)
@@ -409,9 +409,9 @@ def verify(
     if refit:
         there, used, others, expected, moves = restationed(calibration, poses, refit, refit_rows)
         # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
-        drawn, *_ = restationed(nominal, poses, refit, refit_rows, used)
+        nominal_there, *_ = restationed(nominal, poses, refit, refit_rows, used)
         judging = poses.select(others)
-        errors, before = errors_there(there, calibration, judging), errors_there(drawn, nominal, judging)
+        errors, before = errors_there(there, calibration, judging), errors_there(nominal_there, nominal, judging)
     else:
         there, used, others, moves = calibration, np.arange(0), np.arange(len(poses)), {}
         judging, expected = poses, promised(calibration, poses)

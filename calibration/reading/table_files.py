@@ -500,7 +500,7 @@ def _messages(path: Path, topic: str) -> tuple[dict[str, str], list[tuple[int, A
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Reader(path) as bag:
         kinds = {connection.topic: connection.msgtype for connection in bag.connections}
-        publishers = [each for each in bag.connections if each.topic == topic and each.msgtype in FIELDS]
+        publishers = [item for item in bag.connections if item.topic == topic and item.msgtype in FIELDS]
         found = bag.messages(publishers) if publishers else ()
         return kinds, [(time, store.deserialize_cdr(data, kinds[topic])) for _, time, data in found]
 

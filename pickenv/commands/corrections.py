@@ -277,14 +277,14 @@ def plan_poses(
         raise InputError("--fit full expects nothing of the parts; leave out --tolerances and --prior-scale")
     test_joints = None if at is None else joints_of(pickenv.calibration.read_targets(at, robot.nominal), robot.nominal)
     rng = np.random.default_rng(seed)
-    known, parts = frames == "known", tolerances or robot.tolerance_class
-    prior = prior_model(robot.name, robot.nominal, known=known, fit=fit, tolerances=parts, scale=prior_scale)
+    registered, parts = frames == "known", tolerances or robot.tolerance_class
+    prior = prior_model(robot.name, robot.nominal, known=registered, fit=fit, tolerances=parts, scale=prior_scale)
     how: dict[str, Any] = {"criterion": criterion, "test_joints": test_joints, "curve": curve}
     how["candidates"], lines = candidates or 2000, None
     if pool is not None:
         how["candidates"], lines = pickenv.calibration.pool_of(pool, robot.nominal, columns if like is None else None)
     if like is not None:
-        if kind is not None or noise_mm is not None or known:
+        if kind is not None or noise_mm is not None or registered:
             raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
         first = pickenv.calibration.given_rows(pickenv.calibration.given_arm(robot, columns), like, columns)
         planned = plan_like(robot, first, n, rng, lines=lines, prior=prior if prior.proper else None, **how)
@@ -387,8 +387,8 @@ def apply(
     loaded = pickenv.Calibration.load(calibration, robot, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
     conditions = Conditions(*(None if value is None else np.array(value) for value in (payload_kg, temperature_k)))
-    wanted = pickenv.calibration.read_targets(targets, robot.nominal)
-    commands = pickenv.calibration.apply_calibration(loaded, robot, wanted, frame=frame, conditions=conditions)
+    goals = pickenv.calibration.read_targets(targets, robot.nominal)
+    commands = pickenv.calibration.apply_calibration(loaded, robot, goals, frame=frame, conditions=conditions)
     deliver([(out, commands.write_csv)], commands.report())
     if not commands.reached.all():
         raise typer.Exit(NOT_GOOD)

@@ -99,8 +99,8 @@ def train(
         )
         raise
     last = done.evaluations[-1]
-    told = f"{training.algorithm} on {training.env_id}: {words_of(last)} after {last['steps']:.0f} steps"
-    deliver([(out, lambda _: written)], f"{told}, {done.steps_per_second:.0f} steps/s")
+    headline = f"{training.algorithm} on {training.env_id}: {words_of(last)} after {last['steps']:.0f} steps"
+    deliver([(out, lambda _: written)], f"{headline}, {done.steps_per_second:.0f} steps/s")
 
 
 def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out: Path) -> None:

@@ -313,8 +313,8 @@ def conditions(
 
     is_calibration = subject.endswith(".npz")
     of_other = {"arms", "tolerances", "residual"} if is_calibration else {"plant", "allow"}
-    other = "a plant" if is_calibration else "a calibration (.npz)"
-    showing.refuse_stray(conditions, typed, of_other, f"{other} as SUBJECT only; leave it out")
+    kind = "a plant" if is_calibration else "a calibration (.npz)"
+    showing.refuse_stray(conditions, typed, of_other, f"{kind} as SUBJECT only; leave it out")
     folder = [] if out is None else [out / RECORD, out / CONDITIONS]
     separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
     machine = pickenv.load_plant(plant if is_calibration else subject)
