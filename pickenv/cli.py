@@ -14,8 +14,6 @@ from typer import Option
 import pickenv
 from pickenv.base import absent_extras, command_for, command_line, folded, locked, screen_width
 from pickenv.commands import check, comparing, corrections, experiments, learning, plants, showing
-from pickenv.commands.corrections import calibrate
-from pickenv.commands.experiments import bench
 from pickenv.commands.guard import INTERRUPTED, guarded
 
 app = typer.Typer(
@@ -73,10 +71,8 @@ def demo(
         written = write_run(result, out, report)
     summary = summarise(result)
     more = "" if details else "95th percentiles, floors, and what a network gains on other arms"
-    see = command_line("pickenv", "inspect" if "inspect" not in absent else "check", out)
-    showing.deliver(
-        [(out, lambda _: written)], lambda: _print_demo(summary, details=details), f"look at it: {see}", more
-    )
+    see = f"look at it: {command_line('pickenv', 'inspect' if 'inspect' not in absent else 'check', out)}"
+    showing.deliver([(out, lambda _: written)], lambda: _print_demo(summary, details=details), see, more)
     if absent:
         brings = " and ".join({"learn": "the network", "inspect": "figures, page and recording"}[e] for e in absent)
         print(f"this was made without {brings}; get them with: {command_for(*absent)}")
@@ -115,8 +111,7 @@ def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
         "all of this one calibration: intervals are over fruit"
         + ("" if summary["reaches"] >= LEAST_ROWS else f", and means have none with fewer than {LEAST_ROWS}")
     )
-    rows = (row.values() for row in table)
-    showing.print_table(title, table[0], rows, words=("policy",), caption=caption)
+    showing.print_table(title, table[0], (row.values() for row in table), words=("policy",), caption=caption)
     for sentence in summary["matters"]:
         print(*folded(sentence, screen_width(showing.WIDTH)), sep="\n")
     if not details:
@@ -149,7 +144,7 @@ def _print_gains(blocked: dict[str, Any]) -> None:
 
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Measure and correct a robot": (
-        calibrate,
+        corrections.calibrate,
         corrections.verify,
         corrections.plan_poses,
         corrections.board,
@@ -180,7 +175,7 @@ for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
         cls = comparing.SeveralValues if _command is comparing.compare else showing.CommandOfNames
         app.command(rich_help_panel=_purpose, cls=cls)(_command)
-app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
+app.add_typer(experiments.bench, rich_help_panel="Simulate, learn and judge")
 
 
 def main() -> None:

@@ -18,17 +18,7 @@ import pickenv
 from pickenv.agents import Reaches, ScriptedReach, episode_seeds, run_reaches
 from pickenv.arm import Array, Plant, forward, load_plant, noncompensable_error, pose_error
 from pickenv.base import absent_extras, command_line, share_interval, write_json, write_text
-from pickenv.calibration import (
-    BpnnSettings,
-    Choices,
-    Compensator,
-    Measurements,
-    Result,
-    calibrate,
-    error_statistics,
-    fit,
-    held_out_r2,
-)
+from pickenv.calibration import BpnnSettings, Compensator, Measurements, Result, error_statistics, fit, held_out_r2
 from pickenv.experiments.engine import Progress
 from pickenv.experiments.gains import FIELD, ROWS, BlockedGain, blocked_gains, grid_joints, measured_gains, random_sets
 from pickenv.inspect import Comparison, Run
@@ -134,13 +124,13 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     measured = random_sets(plant, tuple(POSES.values()), np.random.default_rng(of_poses))
     sets = dict(zip(POSES, measured, strict=True))
     report("measuring", 1, 1)
-    choices = Choices(fit="full", terms="none", residual="none", frames="known")  # as the paper does
+    choices = pickenv.Choices(fit="full", terms="none", residual="none", frames="known")  # as the paper does
     if settings.network:
         learning = BpnnSettings(epochs=settings.epochs)
         choices = replace(choices, residual="bpnn", learn_from=sets["network"], settings=learning)
     learn = np.random.default_rng(of_network)
     rows, test = sets["identification"], sets["test"]
-    result = calibrate(plant.arm, rows, test=test, choices=choices, rng=learn, progress=report)
+    result = pickenv.calibrate(plant.arm, rows, test=test, choices=choices, rng=learn, progress=report)
     calibration = result.calibration
     compensators: Compensators = {"raw": None, "ls": calibration.compensator(with_residual=False)}
     if calibration.learnt is not None:
@@ -149,8 +139,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     gains: list[BlockedGain] = []
     if settings.gain_poses and settings.network:
         joints = grid_joints(plant.arm.nominal, settings.gain_poses, np.random.default_rng(of_grid))
-        designs = dict(zip((PLANT, FIELD), of_gains, strict=True))
-        gains = blocked_gains(designs, joints, progress=report)
+        gains = blocked_gains(dict(zip((PLANT, FIELD), of_gains, strict=True)), joints, progress=report)
     comparison = _comparison(settings, plant, result, compensators, reaches)
     lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     cases = {plant.name: pick_changes(lateral[0], lateral[-1])}

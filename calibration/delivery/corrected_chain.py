@@ -42,10 +42,7 @@ from pickenv.calibration.pipeline.calibration import Calibration
 NEAR, TURNED = 1e-4, 2e-4
 """Largest distance, m, and angle, rad, between two axes that count as equal; rounding in a file can cause as much."""
 LEAST_SHARE = 1e-3
-"""Deviation below which a relation of table and file (`SameChain`) counts as exact.
-
-It is a share of `NEAR` and `TURNED`, that is 0.1 micrometre.
-"""
+"""Share of `NEAR` and `TURNED`, that is 0.1 micrometre, below which a relation of table and file counts as exact."""
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 POSES = 12
@@ -53,11 +50,9 @@ POSES = 12
 
 
 SameChain = tuple[Pose, Array, Array]
-"""The relation of an arm's DH table to a file of the same chain: root, sign and zero.
-
-The root is the pose of the table's world frame in the file's root link. The sign is 1 or -1 for each joint (n,). The
-zero is the table's joint values (n,), rad or m, at the pose where all joints of the file are zero.
-"""
+"""The relation of an arm's DH table to a file of the same chain: root, sign and zero. The root is the pose of the
+table's world frame in the file's root link. The sign is 1 or -1 for each joint (n,). The zero is the table's joint
+values (n,), rad or m, at the pose where all joints of the file are zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,8 +404,7 @@ def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
     """
     axis = laid.rotation @ joint.axis
     turn = Rotation.align_vectors(sign * Z[None], axis[None])[0].as_matrix()
-    position = laid.position if joint.slides else Z * laid.position[2]
-    return Pose(position, turn @ laid.rotation)
+    return Pose(laid.position if joint.slides else Z * laid.position[2], turn @ laid.rotation)
 
 
 # What patching a robot's own file shares, whatever its format. Is it this arm, where do its joints stand now, what

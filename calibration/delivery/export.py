@@ -85,9 +85,8 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
         parts.append("conditions")
         widths["conditions"] = inputs.conditions
     widths["residual"] = len(network.output_mean)
-    *arguments, result = (
-        helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width]) for name, width in widths.items()
-    )
+    ports = (helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width]) for name, width in widths.items())
+    *arguments, result = ports
     value = node("Concat", parts, "inputs", axis=1)
     scalings = {"of_training": (inputs.mean, inputs.std), "of_network": (network.input_mean, network.input_std)}
     for stage, (mean, std) in scalings.items():

@@ -155,8 +155,7 @@ def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: ND
     identified = [nominal.parameter_names.index(sure.names[i]) for i in places]
     way, *_ = _way(nominal, joints, rows, columns)
     way = way @ parameter_jacobian(nominal, joints)[:, rows, identified].reshape(way.shape[1], -1)
-    covariance = sure.covariance[np.ix_(places, places)]
-    variance = np.einsum("ij,jk,ik->i", way, covariance, way)
+    variance = np.einsum("ij,jk,ik->i", way, sure.covariance[np.ix_(places, places)], way)
     return np.where(way.any(axis=1), np.sqrt(variance), np.nan)
 
 
@@ -314,13 +313,13 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
         InputError: If the description is unusable, or a joint is not in it.
     """
     onto, shift = order.onto, joint_offsets(calibration)
-    notes = (shift.note(),)
+    notes, offsets = (shift.note(),), dict(zip(calibration.arm.joint_names, shift.offsets, strict=True))
     if onto is None:
         rule = "reported = raw - offset, rad and m; take each off the offset that your joint has, if any"
         origin = (*document.provenance(calibration), f"for dynamixel_hardware of July 2026: {rule}")
         lines = [*document.xml_comment(origin), "<ros2_control>"]
-        for name, value in zip(calibration.arm.joint_names, shift.offsets, strict=True):
-            lines.append(f"  <joint name={quoteattr(one_line(name))}>\n    {_param(value)}\n  </joint>")
+        for name, value in offsets.items():
+            lines += [f"  <joint name={quoteattr(one_line(name))}>", f"    {_param(value)}", "  </joint>"]
         return document.Document(("\n".join([*lines, "</ros2_control>"]) + "\n").encode(), notes)
     read_text(onto, "a robot description")
     data = onto.read_bytes()
@@ -329,7 +328,7 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
     places = [i for i, tag in enumerate(tags) if tag.name == "joint" and tag.parent in controls]
     joints = {tags[i].attributes.get("name", ""): i for i in places}
     edits: list[document.Edit] = []
-    for name, value in zip(calibration.arm.joint_names, shift.offsets, strict=True):
+    for name, value in offsets.items():
         if name not in joints:
             names = "no <ros2_control> joint at all" if not joints else f"only {', '.join(map(shortened, joints))}"
             raise InputError(f"{onto} has no <ros2_control> joint '{shortened(name)}', {names}; name them as the arm's")

@@ -157,8 +157,7 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
 
 def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:
     """Make a new URDF of the calibrated arm with rods as links; ``arm`` gives name and joint speeds."""
-    text = urdf_text(calibration.in_own_base, f"{arm.name}_calibrated", arm.speed)
-    declaration, _, body = text.partition("\n")
+    declaration, _, body = urdf_text(calibration.in_own_base, f"{arm.name}_calibrated", arm.speed).partition("\n")
     words = document.xml_comment((*document.provenance(calibration), "written against URDF 1.0, as ROS 2 has it"))
     data = "\n".join([declaration, *words, body]).encode()
     return document.Document(data, (*document.left_out(calibration), SKELETON))
@@ -522,8 +521,7 @@ def static_transforms(calibration: Calibration, order: document.Order) -> docume
 
 def _line(pose: Pose, frame: str, child: str) -> str:
     """Return the shell command that publishes in ROS 2 the pose of frame ``child`` relative to ``frame``."""
-    turn = Rotation.from_matrix(np.asarray(pose.rotation)).as_quat()
-    numbers = np.concatenate([pose.position, turn]).tolist()
+    numbers = np.concatenate([pose.position, Rotation.from_matrix(np.asarray(pose.rotation)).as_quat()]).tolist()
     values = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), numbers, strict=True))
     program = ("ros2", "run", "tf2_ros", "static_transform_publisher")
     return command_line(*program, **values, frame_id=frame, child_frame_id=child)

@@ -196,8 +196,7 @@ def apply_calibration(
     remaining = pose_error(poses, compensator.predict(commands))
     weight = attitude_weight(arm.nominal.joints)
     impossible = noncompensable_error(calibration.identified, commands, remaining, weight=weight)
-    removable = remaining - impossible
-    missed_position, missed_attitude = np.linalg.norm(removable.reshape(-1, 2, 3), axis=2).T
+    missed_position, missed_attitude = np.linalg.norm((remaining - impossible).reshape(-1, 2, 3), axis=2).T
     reached = (missed_position <= POSITION_TOLERANCE) & (missed_attitude <= ATTITUDE_TOLERANCE)
     for i in np.flatnonzero(~reached):
         at = (commands[i] <= geometry.lower) | (commands[i] >= geometry.upper)

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from pickenv.arm import Arm, Array, Geometry, Pose
 from pickenv.arm.files.arm import finite, geometry_arrays, geometry_from_arrays
-from pickenv.base import DO_NOT_USE, FITTED_FRAMES, InputError
+from pickenv.base import DO_NOT_USE, FITTED_FRAMES, InputError, in_file
 from pickenv.base.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.base.registry import Origin, get, origin
 from pickenv.calibration.assessment.screen import Block, figure, within95
@@ -33,11 +33,8 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 # in its record, so that a command can be given with its uncertainty later. SI units.
 
 NEARBY, SPACING = 0.3, 1.5
-"""Two numbers that set the largest distance between joint vectors at which two poses count as near each other.
-
-The distance is the first number, rad or m. If measured poses are sparse, it is the second number times the 95th
-percentile of their distances from the nearest neighbour.
-"""
+"""Largest distance between joint vectors, rad or m, at which two poses count as near each other. If measured poses are
+sparse, it is the second number times the 95th percentile of their distances from the nearest neighbour."""
 
 VAGUE = 2.0
 """Largest position uncertainty that the parameters may cause at a pose of the measured region, in multiples of the 95th
@@ -246,7 +243,7 @@ class PoseUncertainty:
         return replace(sure, factors=factors)
 
     def region(self, model: ArmModel, data: Observations) -> dict[str, Any]:
-        """Return an entry of a calibration's record that describes the measured region; `measured_there` uses it.
+        """Return the entry of a calibration's record that describes the measured region (`Calibration.measured_there`).
 
         It holds the joints of some rows and the joint distance that counts as near. It also holds the 95th percentile
         of the position's uncertainty that the parameters cause at the rows, m.
@@ -260,8 +257,7 @@ class PoseUncertainty:
         places = joint_features(joints, model.geometry.prismatic)
         apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
         near = max(NEARBY, SPACING * float(np.percentile(apart, 95)))
-        region = {"joints": np.round(joints, 4).tolist(), "near": near, "position_p95_m": float(np.percentile(std, 95))}
-        return {MEASURED_REGION: region}
+        return {"joints": np.round(joints, 4).tolist(), "near": near, "position_p95_m": float(np.percentile(std, 95))}
 
 
 def variance_by_station(found: Identification, data: Observations) -> Array:
@@ -281,8 +277,7 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
         for frame in station.frames:
             label = f"{frame}{station.owners.get(frame, station.number)}"
             names = [name.replace(f"{frame}_", f"{label}_") if name.startswith(f"{frame}_") else name for name in names]
-        pairs = [(names.index(name), kept.index(name)) for name in kept if name in names]
-        columns, places = np.array(pairs).T
+        columns, places = np.array([(names.index(name), kept.index(name)) for name in kept if name in names]).T
         jacobian = model.jacobian(station.data.joints, station.data.conditions)[..., columns]
         parts.append(np.einsum("nip,pq,niq->ni", jacobian, found.covariance[np.ix_(places, places)], jacobian))
     return np.concatenate(parts)
@@ -298,30 +293,6 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
     straight = np.array(slides)
     turning = joints[:, ~straight]
     return np.concatenate([np.sin(turning), np.cos(turning), joints[:, straight]], axis=1)
-
-
-def measured_there(
-    record: Mapping[str, Any], model: ArmModel, joints: Array, conditions: Conditions | None
-) -> NDArray[np.bool_] | None:
-    """Return a mask ``(N,)`` of the poses that lie in the region where the arm was measured.
-
-    A pose lies there if a fitted row is near and the parameters cause little uncertainty of it (`VAGUE`).
-
-    Args:
-        record: The calibration's record. The result is None if it holds no region or no uncertainty.
-        model: The calibrated arm.
-        joints: Joints ``(N, n)``, rad or m.
-        conditions: Payload and temperature, if the model depends on them.
-    """
-    region = record.get(MEASURED_REGION)
-    sure = uncertainty_from(record, WITHOUT_RESIDUAL) or uncertainty_from(record)
-    if region is None or sure is None:
-        return None
-    slides = model.geometry.prismatic
-    tree = KDTree(joint_features(np.array(region["joints"]), slides))
-    near = tree.query(joint_features(joints, slides))[0] <= region["near"]
-    sure_there = sure.from_parameters(model, joints, conditions) <= VAGUE * region["position_p95_m"]
-    return np.asarray(near & sure_there)
 
 
 def uncertainty_from(record: Mapping[str, Any], name: str = UNCERTAINTY) -> PoseUncertainty | None:
@@ -348,8 +319,6 @@ def uncertainty_from(record: Mapping[str, Any], name: str = UNCERTAINTY) -> Pose
 
 KIND = "calibration"
 FORMAT = 3
-"""Version of the calibration file's content."""
-
 REMAKE = "run `pickenv calibrate` (or `pickenv demo`) to make one anew"
 GEOMETRIES = ("arm", "nominal", "identified")
 """Names of the geometries that a calibration file holds."""
@@ -452,23 +421,20 @@ class Calibration:
         """
         if self.arm.tree is not None:
             raise InputError("a whole robot has no one tool to compensate; export its calibration onto its URDF")
-        if not with_residual:
-            return self.without_residual().compensator(
-                conditions=conditions, iterations=iterations, single_precision=single_precision
-            )
-        learnt = self.learnt
+        calibration = self if with_residual else self.without_residual()
+        learnt, present = calibration.learnt, conditions or Conditions()
         if learnt is not None:
-            (conditions or Conditions()).refuse_other_inputs(self.record)
+            present.refuse_other_inputs(self.record)
             learnt = learnt.faster() if fast else learnt
         anything = self.model.terms or learnt is not None
-        residual = partial(remainder, self.model, learnt, conditions or Conditions()) if anything else None
-        stated = uncertainty_from(self.record) is not None
+        residual = partial(remainder, self.model, learnt, present) if anything else None
 
         def bounds(commands: Array) -> Sizes:
             repeated = None if conditions is None else conditions.repeated(commands.shape[:-1] or (1,))
-            return self.uncertainty(commands, repeated)[1]
+            return calibration.uncertainty(commands, repeated)[1]
 
-        evidence = self.reservations(), bounds if stated else None, self.caution, self.arm
+        stated = bounds if uncertainty_from(calibration.record) is not None else None
+        evidence = self.reservations(), stated, self.caution, self.arm
         return Compensator(self.nominal, self.identified, residual, iterations, single_precision, *evidence)
 
     def uncertainty(self, joints: ArrayLike, conditions: Conditions | None = None) -> tuple[Sizes, Sizes]:
@@ -488,7 +454,7 @@ class Calibration:
         sizes = standard, sure.within95(standard)
         if self.learnt is None or WITHOUT_RESIDUAL not in self.record:
             return sizes
-        inside = measured_there(self.record, self.model, joints.reshape(-1, joints.shape[-1]), conditions)
+        inside = self.measured_there(joints.reshape(-1, joints.shape[-1]), conditions)
         measured = np.reshape(True if inside is None else inside, joints.shape[:-1])
         without = self.without_residual().uncertainty(joints, conditions)
         (position, attitude), within = (
@@ -496,6 +462,26 @@ class Calibration:
             for pair in zip(sizes, without, strict=True)
         )
         return (position, attitude), (within[0], within[1])
+
+    def measured_there(self, joints: Array, conditions: Conditions | None) -> NDArray[np.bool_] | None:
+        """Return a mask ``(N,)`` of the poses that lie in the region where the arm was measured.
+
+        A pose lies there if a fitted row is near and the parameters cause little uncertainty of it (`VAGUE`). The
+        result is None if the record holds no region or no uncertainty.
+
+        Args:
+            joints: Joints ``(N, n)``, rad or m.
+            conditions: Payload and temperature, if the model depends on them.
+        """
+        region = self.record.get(MEASURED_REGION)
+        sure = uncertainty_from(self.record, WITHOUT_RESIDUAL) or uncertainty_from(self.record)
+        if region is None or sure is None:
+            return None
+        slides = self.identified.prismatic
+        tree = KDTree(joint_features(np.array(region["joints"]), slides))
+        near = tree.query(joint_features(joints, slides))[0] <= region["near"]
+        sure_there = sure.from_parameters(self.model, joints, conditions) <= VAGUE * region["position_p95_m"]
+        return np.asarray(near & sure_there)
 
     @property
     def caution(self) -> str | None:
@@ -623,10 +609,8 @@ class Calibration:
             kind, parts = content.header.get("residual"), content.header.get("residual_from") or {}
             source = Origin(**{key: str(value) for key, value in parts.items()})
         if kind is not None:
-            try:
+            with in_file(path):
                 get("residual", str(kind), **asdict(source))
-            except InputError as error:
-                raise InputError(f"{path}: {error}") from error
         with refusing_damage(path, f"a {KIND} file", REMAKE):
             calibration = _from_parts(content.header, content.arrays)
         if calibration.arm.tree is not None and not whole:

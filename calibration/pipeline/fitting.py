@@ -18,17 +18,8 @@ import numpy as np
 from pickenv.arm import Arm, Array, Geometry
 from pickenv.base import LEAST, InputError, mean_interval, versions
 from pickenv.calibration.assessment.screen import LEAST_ROWS, Block, error_statistics, figure
+from pickenv.calibration.identification import robust
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
-from pickenv.calibration.identification.robust import (
-    BETTER,
-    MISFIT,
-    SPAN,
-    SUSPECT,
-    align,
-    misfit,
-    refuse_another_arm,
-    rough_start,
-)
 from pickenv.calibration.identification.solve import covariance_at, solve
 from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model
 from pickenv.calibration.model.measurements import Measurements
@@ -116,26 +107,26 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
     nominal = arm.nominal
     if data.poses is not None:
         if not known:
-            return align(nominal, data.poses, frames_model(nominal))
+            return robust.align(nominal, data.poses, frames_model(nominal))
         try:
-            refuse_another_arm(nominal, data.poses, "with base and tool taken as known")
+            robust.refuse_another_arm(nominal, data.poses, "with base and tool taken as known")
         except InputError as fault:
             _refuse_unregistered(nominal, data.poses, fault)
             raise
         return None
-    solution = identify(frames_model(nominal), ArmModel.of(rough_start(nominal, data)), [data], max_iterations=100)
+    solution = identify(frames_model(nominal), robust.rough_start(nominal, data), [data], max_iterations=100)
     _refuse_misfit(solution, data)
     return solution
 
 
 def _refuse_unregistered(nominal: Geometry, poses: Measurements, fault: InputError) -> None:
     """Raise an error if rows miss the arm with known base and tool, but fit the arm with fitted base and tool."""
-    before = sum(misfit(nominal, poses))
+    before = sum(robust.misfit(nominal, poses))
     try:
-        after = sum(misfit(align(nominal, poses, frames_model(nominal)).geometry, poses))
+        after = sum(robust.misfit(robust.align(nominal, poses, frames_model(nominal)).geometry, poses))
     except InputError:
         return  # too few rows, or another arm in any frames
-    if after < min(SUSPECT, before / BETTER):
+    if after < min(robust.SUSPECT, before / robust.BETTER):
         raise InputError(
             f"{poses.source}: with base and tool taken as known the arm fits {before / max(after, 1e-3):.0f} times "
             "worse than with fitted ones; give `frames='fitted'`, or correct base and tool in the arm's file"
@@ -173,8 +164,8 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, m
     }
     if solution.unknowns:
         record["unknowns"] = solution.unknowns
-    expected = model.start.geometry
-    return Fit(Calibration(arm.name, arm.nominal, expected, solution.arm_model, None, record), solution, aligned)
+    calibration = Calibration(arm.name, arm.nominal, model.start.geometry, solution.arm_model, None, record)
+    return Fit(calibration, solution, aligned)
 
 
 def fit_remainder(
@@ -230,7 +221,7 @@ def _refuse_misfit(found: Identification, data: Observations) -> None:
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
     span = data.span(ArmModel.of(found.geometry).pose(data.joints, data.conditions).position)
-    if rms > MISFIT * max(span, SPAN):
+    if rms > robust.MISFIT * max(span, robust.SPAN):
         missed = f"{rms * MISS_UNITS[data.miss_unit]:.0f} {data.miss_unit}"
         raise InputError(
             f"{data.source}: after fitting the frames the arm still misses by {missed} RMS; check the arm, the units, "
@@ -288,14 +279,14 @@ class HeldOut:
             rows: Number of rows judged.
             fitted: Number of rows that the calibration was fitted to.
         """
+        reason = f" ({self.no_interval})" if self.no_interval else ""
         if self.blocks is None:
-            counted = f"{rows} {self.rows} held out, {fitted} fitted"
-            return f"{counted}; interval over rows{self._reason()}"
+            return f"{rows} {self.rows} held out, {fitted} fitted; interval over rows{reason}"
         counts = Counter(self.used).most_common()
         models = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
         return (
             f"{rows} {self.rows}, each judged without its block: mean over {self._values} contiguous blocks, "
-            f"between-block interval{self._reason()}; fitted without each block, and chosen on others: {models}; the "
+            f"between-block interval{reason}; fitted without each block, and chosen on others: {models}; the "
             f"calibration is fitted to all {fitted}"
         )
 
@@ -316,10 +307,6 @@ class HeldOut:
         numbers = self.row if self.blocks is None else self.blocks
         return len(self.parametric) if numbers is None else len(np.unique(numbers))
 
-    def _reason(self) -> str:
-        """Return `no_interval` in brackets after a space; empty if the mean error has an interval."""
-        return f" ({self.no_interval})" if self.no_interval else ""
-
 
 def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
     """Compute the errors of the nominal arm and of each fit of a calibration on rows that were held out once.
@@ -335,10 +322,9 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
     else:
         assert bare.aligned is not None
         before = missed_by(bare.aligned, test)
-    pixels: tuple[Array, ...] = ()
-    if test.views is not None:
-        solution, views = bare.identification, [test.views.select(np.array([i])) for i in range(len(test.joints))]
-        pixels = tuple(view.pixel_errors(solution.arm_model, unknowns_of(solution, view)) for view in views)
+    solution, views = bare.identification, test.views
+    single = () if views is None else (views.select(np.array([i])) for i in range(len(test.joints)))
+    pixels = tuple(view.pixel_errors(solution.arm_model, unknowns_of(solution, view)) for view in single)
     steps = zip((GEOMETRIC, *list(fits)[1:]), fits.values(), strict=True)
     errors = {NOMINAL: before} | {name: what_is_left(fit, test) for name, fit in steps}
     rows = test.rows_of_misses
@@ -374,9 +360,7 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
         names: Names of the models of the calibration of all rows: the geometry alone, then each with one part more.
         parts: The held-out errors of each block.
     """
-    added = list(names[1:])
-    if not added and any(len(part.errors) > 2 for part in parts):
-        added = [AS_CHOSEN]
+    added = list(names[1:]) or [AS_CHOSEN] * any(len(part.errors) > 2 for part in parts)
     errors = {name: np.concatenate([part.errors[name] for part in parts]) for name in (NOMINAL, GEOMETRIC)}
     parametric = np.concatenate([part.parametric for part in parts])
     errors |= dict.fromkeys(added[:-1], parametric)
@@ -449,10 +433,8 @@ def missed_by(found: Identification, data: Observations) -> Array:
 
     They have the shape ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
     """
-    tracked = tracked_rows(found, data)
-    if tracked is None:
-        return data.misses(found.arm_model, unknowns_of(found, data))
-    return tracked.difference(found.arm_model)
+    model, tracked = found.arm_model, tracked_rows(found, data)
+    return data.misses(model, unknowns_of(found, data)) if tracked is None else tracked.difference(model)
 
 
 def tracked_rows(found: Identification, data: Observations) -> Measurements | None:
@@ -494,9 +476,7 @@ def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
     """Return the values of `pixel_figures` as a table; ``names`` are the held-out views' names, in the same order."""
     by_view, ends = figures["leave_one_out_view_rms_px"], figures["leave_one_out_mean_ci95_px"]
     worst = int(np.argmax(by_view))
-    between = "no interval: too few views"
-    if ends is not None:
-        between = f"95 % between views {figure(ends[0])} to {figure(ends[1])}"
+    between = f"95 % between views {figure(ends[0])} to {figure(ends[1])}" if ends else "no interval: too few views"
     rows = [
         ("views, corners", f"{figures['views']}, {figures['corners']}"),
         ("RMS of the fit to all views", f"{figure(figures['rms_px'])} px"),
@@ -511,9 +491,8 @@ def view_names(views: PixelObservations) -> tuple[str, ...]:
     """Return the name of each view: that of its picture, or else the file and row where its corners begin."""
     if views.pictures is not None:
         return tuple(Path(path).name for path in views.pictures)
-    return tuple(
-        f"{Path(file).name}: row {line}" for file, line in map(origins_of(views).place, range(len(views.joints)))
-    )
+    places = map(origins_of(views).place, range(len(views.joints)))
+    return tuple(f"{Path(file).name}: row {line}" for file, line in places)
 
 
 def lens_of(fit: Fit, data: Observations) -> Lens:

@@ -77,9 +77,8 @@ def _means(rows: Measurements, cycles: Sequence[Rows]) -> Measurements:
     rotation = None
     if rows.rotation is not None:
         rotation = nearest_rotation(np.array([rows.rotation[visits].mean(axis=0) for visits in cycles]))
-    joints, position = (
-        np.array([part[visits].mean(axis=0) for visits in cycles]) for part in (rows.joints, rows.position)
-    )
+    parts = rows.joints, rows.position
+    joints, position = (np.array([part[visits].mean(axis=0) for visits in cycles]) for part in parts)
     return replace(first, joints=joints, position=position, rotation=rotation)
 
 

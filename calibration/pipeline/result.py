@@ -20,7 +20,6 @@ from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_
 from pickenv.base import Ends, InputError, folded, require, screen_width, shortened
 from pickenv.calibration.assessment import instrument, screen
 from pickenv.calibration.assessment.quality import Quality, grade_quality, workspace_error
-from pickenv.calibration.assessment.screen import ErrorStatistics, error_statistics
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification import diagnosis
 from pickenv.calibration.identification.term_choice import TermChoice
@@ -29,6 +28,7 @@ from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Clocks, Observations, equally_spaced, origins_of
 from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.calibration import (
+    MEASURED_REGION,
     QUANTITIES,
     UNCERTAINTY,
     WITHOUT_RESIDUAL,
@@ -128,55 +128,54 @@ class Result:
         return "geometry" if last in (fitting.GEOMETRIC, fitting.AS_CHOSEN) else last
 
     @property
-    def best(self) -> ErrorStatistics:
+    def best(self) -> screen.ErrorStatistics:
         """Statistics of the held-out position errors of the model that is used, in `miss_unit`."""
         return list(self.position.values())[-1]
 
     @cached_property
-    def position(self) -> dict[str, ErrorStatistics]:
+    def position(self) -> dict[str, screen.ErrorStatistics]:
         """Statistics of held-out position errors by model, in `miss_unit`."""
         blocks = self.held_out.together
         scale = MISS_UNITS[self.miss_unit]
-        return {name: error_statistics(values[:, :3] * scale, blocks) for name, values in self.errors.items()}
+        return {name: screen.error_statistics(values[:, :3] * scale, blocks) for name, values in self.errors.items()}
 
     @cached_property
-    def attitude(self) -> dict[str, ErrorStatistics]:
+    def attitude(self) -> dict[str, screen.ErrorStatistics]:
         """Statistics of held-out attitude errors by model, deg; empty if no attitude was measured."""
         wide = {name: values for name, values in self.errors.items() if values.shape[1] == 6}
         blocks = self.held_out.together
-        return {name: error_statistics(np.degrees(values[:, 3:]), blocks) for name, values in wide.items()}
+        return {name: screen.error_statistics(np.degrees(values[:, 3:]), blocks) for name, values in wide.items()}
 
     @cached_property
     def calibration(self) -> Calibration:
         """The calibration with verdict, base-frame error and uncertainty in its record; `save` writes this one."""
-        record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
-        record[UNCERTAINTY] = self.uncertainty.as_record()
-        if self.unlearnt is not None:
-            record[WITHOUT_RESIDUAL] = self.unlearnt.as_record()
+        fitted, over, region, scatter = self.fit.calibration, self.quality.workspace, None, None
         if np.isfinite(self.uncertainty.covariance).all() and self.arm.nominal.tree is None:
-            record |= (self.unlearnt or self.uncertainty).region(self.fit.calibration.model, self.train)
-        if self.base_frame is not None:
-            record["base_frame"] = self.base_frame.as_dict()
-        if self.unit is not None:
-            record["unit"] = self.unit
-        record["held_out"] = {
-            "how": self.held_out.text(len(self.test.joints), len(self.train.joints)),
-            f"mean_{self.miss_unit}": self.best.mean,
-            f"mean_ci95_{self.miss_unit}": self.best.mean_ci95,
-        }
-        if self.quality.workspace is not None:
-            record["workspace"] = self.quality.workspace.as_dict()
-        if self.harmonics:
-            record["harmonics"] = {"note": screen.OWN, "found": self.harmonics}
-        if self.stiffnesses:
-            record["stiffnesses"] = self.stiffnesses
+            region = (self.unlearnt or self.uncertainty).region(fitted.model, self.train)
         if self.train.poses is not None:
-            scatter = scatter_of(self.train.poses, origins_of(self.train).repeat)
-            record[SCATTER] = dict(zip(SCATTER_PARTS, scatter, strict=True))
-        if self.set_ups:
-            record["stations"] = self.set_ups
-        record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
-        return replace(self.fit.calibration, record=record)
+            parts = scatter_of(self.train.poses, origins_of(self.train).repeat)
+            scatter = dict(zip(SCATTER_PARTS, parts, strict=True))
+        entries = {
+            "verdict": self.quality.as_dict(),
+            UNCERTAINTY: self.uncertainty.as_record(),
+            WITHOUT_RESIDUAL: None if self.unlearnt is None else self.unlearnt.as_record(),
+            MEASURED_REGION: region,
+            "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
+            "unit": self.unit,
+            "held_out": {
+                "how": self.held_out.text(len(self.test.joints), len(self.train.joints)),
+                f"mean_{self.miss_unit}": self.best.mean,
+                f"mean_ci95_{self.miss_unit}": self.best.mean_ci95,
+            },
+            "workspace": None if over is None else over.as_dict(),
+            "harmonics": {"note": screen.OWN, "found": self.harmonics} if self.harmonics else None,
+            "stiffnesses": self.stiffnesses or None,
+            SCATTER: scatter,
+            "stations": self.set_ups or None,
+            "left_out": [f"{item.file}:{item.line}" for item in self.left_out if not item.kept],
+        }
+        stated = {name: entry for name, entry in entries.items() if entry is not None}
+        return replace(fitted, record={**fitted.record, **stated})
 
     @cached_property
     def harmonics(self) -> list[dict[str, Any]]:
@@ -213,9 +212,8 @@ class Result:
             return "each sensor's and each target's place was fitted; errors are of the motion of one against the other"
         words = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
         if self.own_mean_ci95 is None:
-            return (
-                words + f"{screen.figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
-            )
+            mean = screen.figure(self.best.mean)
+            return f"{words}{mean} mm ({self.held_out.no_interval}; with the instrument's noise)"
         low, high = map(screen.figure, self.own_mean_ci95)
         return f"{words}{low} to {high} mm (95 % interval; the lower end without the instrument's noise)"
 
@@ -236,26 +234,21 @@ class Result:
         blocks = [self._errors(), instrument.set_up_block(self.set_ups, self.stations)]
         blocks += [] if over is None else [over.block()]
         blocks.append(self._parameters())
-        if self.left_out:
-            places = tuple((item.text(),) for item in self.left_out)
-            any_kept = any(item.kept for item in self.left_out)
-            note = "" if self.pixels is not None else "too far off to be measurements of these poses"
-            title = self.held_out.rows.capitalize()
-            title = f"{title} far off, and kept" if any_kept else f"{title} left out"
-            blocks.append(screen.Block(title, (), places, note, "left_out"))
+        far = "far off, and kept" if any(item.kept for item in self.left_out) else "left out"
+        places = tuple((item.text(),) for item in self.left_out)
+        note = "" if self.pixels is not None else "too far off to be measurements of these poses"
+        blocks.append(screen.Block(f"{self.held_out.rows.capitalize()} {far}", (), places, note, "left_out"))
         if self.terms is not None:
-            scale = MISS_UNITS[self.miss_unit]
-            names, blocked_rms, _ = self.terms
+            scale, (names, blocked_rms, _) = MISS_UNITS[self.miss_unit], self.terms
             rows = tuple((name, screen.figure(value * scale)) for name, value in blocked_rms.items())
-            note = f"{names}, chosen on blocks of the training rows"
-            blocks.append(
-                screen.Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note, "terms")
-            )
+            heads = ("terms", f"RMS on blocks ({self.miss_unit})")
+            choice = f"{names}, chosen on blocks of the training rows"
+            blocks.append(screen.Block("Further terms", heads, rows, choice, "terms"))
         blocks += [screen.stiffness_block(self.stiffnesses), screen.harmonic_block(self.harmonics)]
         blocks += [self._gate()] if self.gate else []
         blocks += [] if self.pixels is None else [fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))]
-        sure = self.uncertainty.block(self._within95)
-        return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
+        blocks += [self.uncertainty.block(self._within95), self._facts()]
+        return tuple(block for block in blocks if block.rows)
 
     def __str__(self) -> str:
         """Return `summary`."""
@@ -362,10 +355,8 @@ class Result:
         figures = ("RMS", "mean", "95 % interval", "p95", "max")
         header: tuple[str, ...] = ("model", *(f"{name} ({self.miss_unit})" for name in figures))
         header += ("attitude mean (deg)",) if self.attitude else ()
-        labels = {
-            fitting.NOMINAL: "nominal" if self.known_frames else "nominal, base and tool fitted",
-            fitting.GEOMETRIC: "geometry",
-        }
+        nominal = "nominal" if self.known_frames else "nominal, base and tool fitted"
+        labels = {fitting.NOMINAL: nominal, fitting.GEOMETRIC: "geometry"}
         rows = []
         for name, s in self.position.items():
             if name == fitting.NOMINAL and not self.has_nominal:
@@ -422,10 +413,9 @@ class Result:
     def _parameters(self) -> screen.Block:
         """Return the table of the parameters that moved (`has_moved`)."""
         every, rows = self.plain_parameters(), []
-        for row in every:
+        for row in filter(has_moved, every):
             share = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
-            if has_moved(row):
-                rows.append((row["name"], screen.figure(row["change"]), screen.figure(row["std"]), row["unit"], share))
+            rows.append((row["name"], screen.figure(row["change"]), screen.figure(row["std"]), row["unit"], share))
         heads = ("parameter", "change", "± 1 sigma", "unit", "told by the rows")
         note = f"those of {len(every)} that moved by more than {SIGMAS:g} sigma; {self.prior_text}"
         return screen.Block("Parameters", heads, tuple(rows), note)
@@ -446,8 +436,7 @@ class Result:
             rows.append((v.model, "-" if v.blocked_rms is None else screen.figure(v.blocked_rms * 1e3), v.reason))
         model = selected(self.gate)
         verdict = f"'{model}' is used" if model else "none is used"
-        header = ("model", "blocked hold-out, RMS (mm)", "verdict")
-        note = f"{verdict}; judged within the training rows"
+        header, note = ("model", "blocked hold-out, RMS (mm)", "verdict"), f"{verdict}; judged within the training rows"
         return screen.Block("Learnt residual models", header, tuple(rows), note, "residual_models")
 
     def _facts(self) -> screen.Block:
@@ -469,9 +458,8 @@ class Result:
     def as_dict(self) -> dict[str, Any]:
         """Return the result as values for JSON."""
         solution = self.geometric.identification
-        prior = solution.prior
+        prior, unit, over = solution.prior, self.miss_unit, self.quality.workspace
         nominal, geometric, best = self.position[fitting.NOMINAL], self.position[fitting.GEOMETRIC], self.best
-        unit = self.miss_unit
         held_out: dict[str, Any] = {
             f"nominal_rms_{unit}": nominal.rms,
             f"geometric_rms_{unit}": geometric.rms,
@@ -508,7 +496,7 @@ class Result:
             "parameters_told": solution.spent,
             "changes": self.parameters(),
             "dropped": solution.identifiability.dropped,
-            "workspace": None if self.quality.workspace is None else self.quality.workspace.as_dict(),
+            "workspace": None if over is None else over.as_dict(),
             "prior": None if prior is None else {"source": prior.source, "scales": dict(prior.scales)},
             "condition": self.quality.observability["condition"],
             "converged": self.fit.identification.converged,
@@ -614,8 +602,8 @@ def assess(
     """
     learnt = fit.calibration.learnt
     if fits is None:
-        unlearnt = replace(fit, calibration=fit.calibration.without_residual())
-        fits = {fitting.GEOMETRIC: unlearnt} | ({} if learnt is None else {f"geometry+{learnt.kind}": fit})
+        fits = {fitting.GEOMETRIC: replace(fit, calibration=fit.calibration.without_residual())}
+        fits |= {} if learnt is None else {f"geometry+{learnt.kind}": fit}
     bare = next(iter(fits.values()))
     aligned = bare.aligned
     held_out = held_out or fitting.held_out_of(fits, test)
@@ -627,8 +615,7 @@ def assess(
     else:
         stated = bool(train.stations) and all(getattr(part, "std_stated", False) for part in train.parts)
         noise = "stated noise" if stated else "noise stated or assumed"
-    rows_of = test.rows_of_misses
-    uncertainty, bare_uncertainty = fitting.pose_uncertainties(fit, held_out, train, test)
+    sure, unlearnt = fitting.pose_uncertainties(fit, held_out, train, test)
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None and arm.nominal.tree is None:
@@ -639,9 +626,7 @@ def assess(
         if train.miss_unit != "mm":
             remaining = np.full_like(remaining, np.nan)
         base_frame = instrument.base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, remaining, tracked)
-    pixels = None
-    if train.views is not None:
-        pixels = fitting.pixel_figures(bare, train.views, held_out)
+    pixels = None if train.views is None else fitting.pixel_figures(bare, train.views, held_out)
     name, region = workspace or workspace_joints(None, arm.nominal)
     remains = position_rms(after) if train.miss_unit == "mm" else 0.0
     between = train.conditions.between
@@ -655,7 +640,7 @@ def assess(
         over,
         geometric=bare.identification,
         parametric=held_out.parametric,
-        blocks=rows_of if held_out.blocks is None else held_out.blocks,
+        blocks=test.rows_of_misses if held_out.blocks is None else held_out.blocks,
         noise=noise,
         said=(
             *instrument.said_against(bare.identification, train),
@@ -673,16 +658,5 @@ def assess(
         rows=(len(test.joints), held_out.rows),
     )
     return Result(
-        arm,
-        fit,
-        bare,
-        train,
-        test,
-        held_out,
-        quality,
-        uncertainty,
-        base_frame,
-        bare_uncertainty,
-        left_out=left_out,
-        pixels=pixels,
+        arm, fit, bare, train, test, held_out, quality, sure, base_frame, unlearnt, left_out=left_out, pixels=pixels
     )

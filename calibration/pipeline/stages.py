@@ -34,16 +34,8 @@ from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.result import Result, assess, workspace_joints
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import joints_of, read_observations, read_scene, read_targets
+from pickenv.calibration.residuals import residual_models
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.residual_models import (
-    AUTO,
-    TRIAL_FITTERS,
-    GateVerdict,
-    gate_residuals,
-    position_rms,
-    require_residual,
-    selected,
-)
 
 # What a calibration may be asked for, and what does not go with what was measured.
 
@@ -129,10 +121,7 @@ Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
 """Measured rows: one data set (`Observations`, such as `Measurements`) or several, or the paths of files with them."""
 
 Columns = str | Path | Sequence[str | Path] | None
-"""Name or path of a description of the files' columns, or several of these, one for each file.
-
-None means pickenv's own columns.
-"""
+"""Name or path of a description of the files' columns, or one for each file; None means pickenv's own columns."""
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
 """Values of the option ``stations``, each with the frames that then differ from station to station."""
@@ -202,14 +191,10 @@ def given_rows(
         raise InputError(
             f"{len(layouts)} column descriptions are given for {len(items)} files; give one, or one per file"
         )
-    together = len(layouts) == 1 and stations is None
-    sets = [items] if together else [[file] for file in items]
+    sets = [items] if len(layouts) == 1 and stations is None else [[file] for file in items]
     layouts = layouts if len(layouts) > 1 else layouts * len(sets)
-    rows = [
-        data_set
-        for part, layout in zip(sets, layouts, strict=True)
-        for data_set in read_scene(part, arm.nominal, layout)
-    ]
+    pairs = zip(sets, layouts, strict=True)
+    rows = [data_set for part, layout in pairs for data_set in read_scene(part, arm.nominal, layout)]
     if stations is not None:
         rows = [series for data_set in rows for series in _files(data_set)]
     return _joined(arm, rows, stations, known, like)
@@ -248,10 +233,11 @@ def _joined(
     Without ``stations``, files of poses or positions within a set are grouped by their rows, too. The arguments are
     those of `given_rows`, with ``sets`` in place of the files.
     """
-    named = any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
-    if stations is not None and named:
+    named = any(any(origins_of(part).scene) for part in sets)
+    trees = any(part.conditions.between is not None for part in sets)
+    if stations is not None and (named or trees):
         raise InputError("[scene] says which files share a base or a tool; leave `stations` out")
-    if any(any(origins_of(part).scene) for part in sets):
+    if named:
         if like is not None and like.stations:
             return Stacked(tuple(_same_scene(like, part) for part in sets))
         return scene_of(arm, sets) if len(sets) > 1 else sets[0]
@@ -259,8 +245,7 @@ def _joined(
         tracked = [file for part in sets if part.poses is not None for file in _files(part.poses)]
         if isinstance(like, Stacked) and tracked:
             return placed(arm, like, tracked)
-        free = not known and like is None and all(part.frames == "fitted" for part in tracked)
-        free = free and not any(part.conditions.between is not None for part in sets)
+        free = not known and like is None and not trees and all(part.frames == "fitted" for part in tracked)
         if len(tracked) > 1 and free and all(part.poses is not None for part in sets):
             several = by_set_up(arm, tracked)
             return sets[0] if len(sets) == 1 and several.poses is not None else several
@@ -321,10 +306,7 @@ GEOMETRY = "geometry"
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS, FEW_ROWS = 60, 20
-"""Largest numbers of pictures, and of poses, that are held out one by one.
-
-Each is then judged by a fit to the rows of all other poses.
-"""
+"""Largest numbers of pictures, and of poses, that are held out one by one, each judged by a fit to all others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,7 +335,7 @@ class Draft:
     left_out: tuple[LeftOut, ...] = ()
     fits: Mapping[str, fitting.Fit] = field(default_factory=dict)
     term_choice: TermChoice | None = None
-    gate: tuple[GateVerdict, ...] = ()
+    gate: tuple[residual_models.GateVerdict, ...] = ()
 
     @property
     def tracked(self) -> Measurements | None:
@@ -442,8 +424,7 @@ def calibrate(
     if choices.workspace is not None:
         workspace_joints(choices.workspace, arm.nominal, choices.frames)  # refused now, and not after the work
     rng = rng or np.random.default_rng(choices.seed)
-    few = test is None and test_rows is None and train.poses is not None
-    few = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
+    few = test_rows is None and train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("`test_rows` is for the random split; here every row, or picture, is held out once")
@@ -462,8 +443,8 @@ def calibrate(
 
 def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
     """Return the result of a draft that went through all stages, judged by its errors on held-out rows."""
-    arm, fit, choices = draft.arm, draft.best[1], draft.choices
-    region = workspace_joints(choices.workspace, arm.nominal, choices.frames)
+    arm, fit = draft.arm, draft.best[1]
+    region = workspace_joints(draft.choices.workspace, arm.nominal, draft.choices.frames)
     result = assess(
         arm, fit, draft.train, draft.test, fits=draft.fits, held_out=held_out, left_out=draft.left_out, workspace=region
     )
@@ -482,9 +463,8 @@ def _judged_by_blocks(draft: Draft) -> Result:
     if len(checked.train.joints) < 2:
         raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give `test`")
     folds = _folds(checked.train)
-    residuals = [
-        _chosen(checked, np.sort(np.concatenate([rows_out for _, rows_out in folds[1 - i :: 2]]))) for i in range(2)
-    ]
+    halves = [np.sort(np.concatenate([rows_out for _, rows_out in folds[1 - i :: 2]])) for i in range(2)]
+    residuals = [_chosen(checked, rows) for rows in halves]
     seeds = np.random.SeedSequence(draft.choices.seed).spawn(len(folds))
     parts = []
     for number, ((rows, rows_out), seed) in enumerate(zip(folds, seeds, strict=True)):
@@ -543,7 +523,7 @@ def _check(draft: Draft) -> Draft:
     if choices.fit not in FIT_WORDS:
         raise InputError(f"fit is '{choices.fit}'; give {', '.join(FIT_WORDS[:-1])} or {FIT_WORDS[-1]}")
     if choices.residual not in ("auto", "none"):  # said now, and not after the work
-        require_residual(choices.residual)
+        residual_models.require_residual(choices.residual)
     if type(train) is not type(test):
         raise InputError(
             f"{train.source} holds {train.kind}, but {test.source}, to judge by, {test.kind}; give rows of one kind"
@@ -560,8 +540,7 @@ def _check(draft: Draft) -> Draft:
     else:
         refuse_options(train, choices)
         train, left_out = without_blind_views(train)
-    known_frames = choices.frames == "known"
-    train, test, far = checked_rows(draft.arm, train, test, known=known_frames, robust=choices.robust)
+    train, test, far = checked_rows(draft.arm, train, test, known=choices.frames == "known", robust=choices.robust)
     needs_rows = choices.residual not in ("auto", "none") and choices.learn_from is None and not choices.force
     if needs_rows and (count := pose_count(train.joints)) < ENOUGH_FOR_BLOCKS:
         raise InputError(
@@ -582,8 +561,7 @@ def _identify(draft: Draft) -> Draft:
     aligned = fitting.fit_frames(arm, draft.train, choices.frames == "known")
     start = arm.nominal if aligned is None else aligned.geometry
     tolerances, scale = choices.tolerances or arm.tolerance_class, choices.prior_scale
-    known_frames = aligned is None
-    model = prior_model(arm.name, start, known=known_frames, fit=choices.fit, tolerances=tolerances, scale=scale)
+    model = prior_model(arm.name, start, known=aligned is None, fit=choices.fit, tolerances=tolerances, scale=scale)
     return draft.with_fit(GEOMETRY, fitting.fit_geometry(arm, draft.train, aligned, model))
 
 
@@ -626,9 +604,9 @@ def _learn(draft: Draft) -> Draft:
         return draft
     kind: str | None = None
     if pose_count(train.joints) >= ENOUGH_FOR_BLOCKS:
-        names = AUTO if choices.residual == "auto" else (choices.residual,)
+        names = residual_models.AUTO if choices.residual == "auto" else (choices.residual,)
         draft = replace(draft, gate=_verdicts(draft, train, names))
-        kind = selected(draft.gate)
+        kind = residual_models.selected(draft.gate)
     if choices.force and choices.residual != "auto":
         kind = choices.residual
     return draft if kind is None else _with_residual(draft, kind, train, None)
@@ -644,7 +622,7 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
     return draft.with_fit(f"{name}+{kind}", fitting.fit_remainder(best, kind, data, draft.rng, settings, report))
 
 
-def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[GateVerdict, ...]:
+def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[residual_models.GateVerdict, ...]:
     """Judge the residual models ``names`` within the training poses or positions ``train``; return their verdicts."""
     data = train.at_most(GATE_ROWS)
     name, best = draft.best
@@ -658,7 +636,8 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tupl
 
     report = None
     if draft.progress is not None:
-        rms = 1e3 * position_rms(train.misses(fitted, np.zeros(0)))
+        rms = 1e3 * residual_models.position_rms(train.misses(fitted, np.zeros(0)))
         report = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
-    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=report)
+    fitters = residual_models.TRIAL_FITTERS
+    return residual_models.gate_residuals(data, refit, rng, models=names, fitters=fitters, progress=report)

@@ -31,26 +31,18 @@ from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feat
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 
 SMOOTH, ROUGH = 256, 8
-"""Numbers of waves, each a cosine and a sine, whose sum is one coordinate of the error.
-
-The first number is for the Gaussian process, the second for the arm's own scatter.
-"""
+"""Numbers of waves, each a cosine and a sine, whose sum is one coordinate of the error: those of the Gaussian process,
+and those of the arm's own scatter."""
 
 ROUGH_LENGTH = 1e-2
 """Distance between joint vectors, rad or m, beyond which the arm's own scatter is independent."""
 
-SCATTER = "scatter"
-"""Entry of a calibration's record that holds the instrument's share of the scatter (`Scatter`)."""
-
-
-SCATTER_PARTS = ("position_std", "attitude_std", "source")
+SCATTER, SCATTER_PARTS = "scatter", ("position_std", "attitude_std", "source")
+"""Entry of a calibration's record with the instrument's share of the scatter (`Scatter`), and this entry's keys."""
 
 Scatter = tuple[float, float, str]
-"""The instrument's share of a measurement's scatter.
-
-Its values are the standard deviations of a position coordinate, m, and an attitude coordinate, rad, and the source in
-words.
-"""
+"""The instrument's share of a measurement's scatter: standard deviations of a position coordinate, m, and of an
+attitude coordinate, rad, and the source in words."""
 
 ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrument of which nothing is stated")
 
@@ -115,8 +107,7 @@ def twin(
     """
     calibration.refuse_another(arm)
     if geometry_only:
-        model = ArmModel(calibration.identified)
-        calibration = replace(calibration.without_residual(), model=model)
+        calibration = replace(calibration.without_residual(), model=ArmModel(calibration.identified))
     elif calibration.arm.coupling is not None:
         raise InputError(f"a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet")
     sure = uncertainty_from(calibration.record)
@@ -130,8 +121,8 @@ def twin(
     factor = np.zeros((len(names), len(places)))
     values, vectors = np.linalg.eigh(sure.covariance[np.ix_(places, places)])  # which may be singular
     factor[[names.index(sure.names[i]) for i in places]] = vectors * np.sqrt(np.maximum(values, 0.0))
-    for name in _never_told(calibration):
-        factor[names.index(name)] = 0.0
+    never = never_told(sure.names, sure.covariance)  # parameters of base and tool, which no twin varies
+    factor[[names.index(parameter) for parameter in never]] = 0.0
     unseen, traces = _unseen(calibration, names)
     scatter = ASSUMED if rows is None else scatter_of(rows)
     if SCATTER in calibration.record:
@@ -163,7 +154,7 @@ def twin(
         field=_field(frequency, mean, offset, inputs, arm.nominal.base.rotation @ calibration.nominal.base.rotation.T),
         field_factor=spread,
         rough=rough,
-        notes=(process_note, scatter_note, *_missing(calibration)),
+        notes=(process_note, scatter_note, *_missing(calibration, never)),
     )
     return twin_plant(name or f"{arm.name}_twin", arm, posterior, MeasurementNoise(position_std, attitude_std))
 
@@ -185,12 +176,6 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
             if absorber in names:
                 traces[names.index(absorber), column] -= share
     return np.array([parameters.index(name) for name in lost], dtype=np.int64), traces
-
-
-def _never_told(calibration: Calibration) -> list[str]:
-    """Return the names of base and tool parameters that the rows do not determine; a twin does not vary them."""
-    sure = uncertainty_from(calibration.record)
-    return [] if sure is None else never_told(sure.names, sure.covariance)
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
@@ -232,15 +217,18 @@ def _moments(
     return moments, by_weight @ np.array(term.moments)[:, None] * (joint_of == np.array(term.joints)), up
 
 
-def _missing(calibration: Calibration) -> Iterator[str]:
-    """Yield sentences on the parts of the calibration that the plant leaves out, and on the plant's base frame."""
+def _missing(calibration: Calibration, never: Sequence[str]) -> Iterator[str]:
+    """Yield sentences on the parts of the calibration that the plant leaves out, and on the plant's base frame.
+
+    ``never`` are the parameters of base and tool that the rows do not determine.
+    """
     if any(isinstance(term, ThermalTerm) for term in calibration.model.terms):
         yield "the arm stays at its reference temperature: of its growth only the coefficient is known"
     if any(isinstance(term, BendingTerm) for term in calibration.model.terms):
         yield "its joints do not bend across their axes"
     if calibration.record.get("frames") == "fitted":
         yield "base and tool were fitted, so it errs in its own base as it did against the aligned nominal arm"
-    if never := _never_told(calibration):
+    if never:
         yield f"the rows say nothing of {', '.join(never)}: there all arms that are drawn are the same"
 
 
@@ -257,8 +245,8 @@ def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
     position_std, attitude_std, source = scatter
     if position >= position_std:
         return scatter
-    said = f"the rows, which scatter less than {position_std * 1e3:.4f} mm, which is {source}"
-    return position, min(attitude, attitude_std), said
+    origin = f"the rows, which scatter less than {position_std * 1e3:.4f} mm, which is {source}"
+    return position, min(attitude, attitude_std), origin
 
 
 def _process(
@@ -308,5 +296,4 @@ def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, tu
     weight[..., : scaled.shape[-1]] = mean.reshape(outputs, 2, -1)
     middle, periodic = tuple(inputs.mean[:joints].tolist()), tuple(inputs.periodic.tolist())
     features = Features(np.ascontiguousarray(waves, dtype=np.float32), middle, periodic, outputs)
-    axes = tuple(map(tuple, turn.tolist()))
-    return ResidualField(features, weight.astype(np.float32), tuple(offset.tolist()), axes)
+    return ResidualField(features, weight.astype(np.float32), tuple(offset.tolist()), tuple(map(tuple, turn.tolist())))

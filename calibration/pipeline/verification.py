@@ -8,8 +8,9 @@ arm. mm and degrees in outputs, SI inside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, frames_mod
 from pickenv.calibration.model.measurements import OWN, Measurements
 from pickenv.calibration.model.noise_and_priors import Prior, never_told
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, origins_of, same_poses
-from pickenv.calibration.pipeline.calibration import Calibration, measured_there, uncertainty_from
+from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.planning.plan import exchange
 from pickenv.calibration.residuals.residual_models import position_rms
 
@@ -38,40 +39,22 @@ REFIT_ROWS = 6
 """Default number of rows to which base and tool are refitted."""
 
 CHANGE_STD = (1.0, np.pi / 6)
-"""Prior standard deviations of the change of a refitted frame (base or tool): shift, m, and turn, rad.
-
-In directions that the rows do not determine, the frame does not change.
-"""
+"""Prior standard deviations of the change of a refitted frame (base or tool): shift, m, and turn, rad. In directions
+that the rows do not determine, the frame does not change."""
 
 NO_RANK = 1e-12
 """Rank tolerance of the refit, so small that no parameter counts as redundant, since each has a prior."""
 
 TOLD = 0.1
-"""Limit up to which the rows determine a direction of a frame's shift or turn.
-
-It is a limit on the posterior standard deviation along the direction, as a share of the prior one (`CHANGE_STD`).
-"""
+"""Posterior standard deviation, as a share of the prior one (`CHANGE_STD`), up to which the rows determine a direction
+of a frame's shift or turn."""
 
 CANDIDATES = 1000
 """Largest number of rows, taken at equal steps, from which the rows for the refit are chosen."""
 
 
 Moves = dict[str, tuple[float, float, int, int]]
-"""Change of each refitted frame, by the frame's name, as four values.
-
-These are the shift, m, and the turn, rad. Then follow two counts of directions that the rows do not determine: of the
-three directions of shift, and of the three of turn.
-"""
-
-
-Restationed = tuple[Calibration, Rows, Rows, Array, Moves]
-"""The result of `restationed`, five values.
-
-The first is the calibration with the base and tool of another station. The second and third are indices of rows: those
-to which the frames were fitted, and all rows of other poses. The fourth holds the expected mean square errors ``(R,)``,
-m^2, of those other rows. They come from the scatter of a single motion to a pose and from the uncertainty of the
-frames. The last says how far the frames moved.
-"""
+"""Change of each refitted frame: shift, m, turn, rad, and of the three directions of each the number not determined."""
 
 
 def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...], int]:
@@ -100,7 +83,7 @@ def restationed(
     own: Collection[str],
     count: int = REFIT_ROWS,
     used: Rows | None = None,
-) -> Restationed:
+) -> tuple[Calibration, Rows, Rows, Array, Moves]:
     """Refit base, tool or both of a calibrated arm to a few rows of another station.
 
     A station is one placement of the instrument and its target. The prior of the frames is their old place with the
@@ -120,6 +103,12 @@ def restationed(
             best (I-optimal design).
         used: Indices, from 0, of the rows to fit to, if they were chosen before.
 
+    Returns:
+        Five values. The first is the calibration with the base and tool of the other station. The second and third are
+        indices of rows: those to which the frames were fitted, and all rows of other poses. The fourth holds the
+        expected mean square errors ``(R,)``, m^2, of those other rows. They come from the scatter of a single motion
+        to a pose and from the uncertainty of the frames. The last says how far the frames moved.
+
     Raises:
         InputError: If there are too few rows.
     """
@@ -135,15 +124,12 @@ def restationed(
     few = data.select(used)
     std = np.tile(np.repeat(CHANGE_STD, 3), len(model.names) // 6)
     before = Prior(calibration.model, model.columns, std)
-    fits = [
-        identify(model, start, [few, before], max_iterations=100, rank_tolerance=NO_RANK)
-        for start in _starts(calibration.model, few, own)
-    ]
+    refit = partial(identify, model, max_iterations=100, rank_tolerance=NO_RANK)
+    fits = [refit(start, [few, before]) for start in _starts(calibration.model, few, own)]
     near = min(fits, key=lambda fit: fit.chi_square).arm_model
     few = _less(few, errors_there(replace(calibration, model=near), calibration, few) - few.difference(near))
     # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
-    settled: list[Observations] = [few, replace(before, reference=near)]
-    model_there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
+    model_there = refit(near, [few, replace(before, reference=near)]).arm_model
     poses = same_poses(data.joints)
     others = np.flatnonzero(~np.isin(poses, poses[used]))
     jacobian = model_there.jacobian(data.joints[others], data.conditions.select(others))
@@ -244,7 +230,7 @@ def near_rows(
     model = calibration.model
     if refit:
         model = restationed(calibration, data, refit, max(count, min(len(data) - 3, 4 * count)))[0].model
-    sigma, _, _ = sizes_of(model, np.zeros(0), data)
+    sigma, *_ = sizes_of(model, np.zeros(0), data)
     far = np.flatnonzero(~(sigma <= OUTLIER_SIGMA))
     if len(far) > max(1.0, MANY_FAR * len(data)):
         return data, ()
@@ -257,10 +243,8 @@ def near_rows(
 
 
 GROWN = 1.5
-"""Ratio of the RMS error to the promised one above which a calibration is no longer as good as promised.
-
-On four data sets of one robot, the RMS error in another region of the workspace is up to 1.3 times larger.
-"""
+"""Ratio of the RMS error to the promised one above which a calibration is no longer as good as promised. On four data
+sets of one robot, the RMS error in another region of the workspace is up to 1.3 times larger."""
 
 ELSEWHERE = 20.0
 """Ratio of the RMS error to the promised one above which another region of the workspace cannot be the cause."""
@@ -325,26 +309,24 @@ class Verification:
         """Ratio of the RMS position error to the promised one."""
         return self.calibrated.rms / self.expected
 
+    @property
+    def as_promised(self) -> bool:
+        """Whether errors are as small as promised, and do not grow from some row on."""
+        return self.ratio <= GROWN and self.since is None
+
     def text(self) -> str:
         """Return the report for the terminal, which begins with the verdict."""
         heads = ("arm", "RMS (mm)", "mean (mm)", "95 % interval (mm)", "p95 (mm)", "max (mm)")
         rows = [(name, *error_cells(s)) for name, s in (("nominal", self.nominal), ("calibrated", self.calibrated))]
-        frames = "base and tool as they were"
-        if self.refitted:
-            frames = f"{' and '.join(self.moved)} found from {self.refitted} other rows, of both arms"
+        anew = f"{' and '.join(self.moved)} found from {self.refitted} other rows, of both arms"
+        frames = anew if self.refitted else "base and tool as they were"
         how = f"{frames}; expected of the calibrated arm: {figure(self.expected)} mm RMS"
         gain = f"{'no' if self.no_gain else 'yes'}: {figure(self.calibrated.rms)} of {figure(self.nominal.rms)} mm RMS"
         promise = f"{'yes' if self.ratio <= GROWN else 'no'}: {figure(self.ratio)} times the RMS expected"
         region = "not known" if self.measured is None else f"{100 * self.measured:.0f} % of the rows lie where it was"
-        questions = (
-            ("does it beat the nominal arm", gain),
-            ("is it as good as promised", promise),
-            ("was this region measured", region),
-        )
-        blocks = [
-            Block("Three questions", (), questions),
-            Block(f"Errors on {self.rows} rows", heads, tuple(rows), how),
-        ]
+        titles = ("does it beat the nominal arm", "is it as good as promised", "was this region measured")
+        questions = Block("Three questions", (), tuple(zip(titles, (gain, promise, region), strict=True)))
+        blocks = [questions, Block(f"Errors on {self.rows} rows", heads, tuple(rows), how)]
         if self.moved:
             moves = tuple((name, *self._moved(name)) for name in self.moved)
             blocks.append(Block("Moved since the calibration", ("frame", "by (mm)", "turned (deg)"), moves, ""))
@@ -353,7 +335,7 @@ class Verification:
             blocks.append(Block("Rows left out", (), far, "too far off to be measurements of these poses"))
         heading = [f"verdict: {self.status.upper()}: {self.reason}"]
         heading += [] if self.reservation is None else [f"reservation: {self.reservation}"]
-        return "\n".join([*heading, *(block.text() for block in blocks)])
+        return "\n".join(heading + [block.text() for block in blocks])
 
     def _moved(self, name: str) -> Iterator[str]:
         """Yield a frame's shift (mm) and turn (deg) as texts that name the number of undetermined directions."""
@@ -427,36 +409,30 @@ def verify(
     if refit:
         there, used, others, expected, moves = restationed(calibration, poses, refit, refit_rows)
         # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
-        drawn, *_ = restationed(nominal, poses, refit, refit_rows, used)
+        nominal_there, *_ = restationed(nominal, poses, refit, refit_rows, used)
         judging = poses.select(others)
-        errors, before = errors_there(there, calibration, judging), errors_there(drawn, nominal, judging)
+        errors, before = errors_there(there, calibration, judging), errors_there(nominal_there, nominal, judging)
     else:
         there, used, others, moves = calibration, np.arange(0), np.arange(len(poses)), {}
         judging, expected = poses, promised(calibration, poses)
         errors, before = calibration.errors(poses), nominal.errors(poses)
     blocks = np.arange(len(others)) * BLOCKS // len(others) if len(others) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
-    inside = measured_there(calibration.record, calibration.model, judging.joints, judging.conditions)
+    inside = calibration.measured_there(judging.joints, judging.conditions)
     measured = None if inside is None else float(inside.mean())
     region_known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
     count, rms = len(others), float(np.sqrt(expected.mean())) * 1e3
-    late = _since(others, errors, expected) if region_known else None
-    since = None
-    if late is not None:
-        file, line = origins_of(poses).place(int(others[late]))
-        since = f"from {file}, row {line}, on"
+    late = _since(errors, expected) if region_known else None
+    since = None if late is None else "from {}, row {}, on".format(*origins_of(poses).place(int(others[late])))
     gain = next(no_gain(before, errors, np.arange(count), "mm", count, "rows"), None)
-    verification = Verification(
-        "still good", "", mine, theirs, rms, count, len(used), moves, since, left_out, gain, measured
-    )
-    far = np.arange(late or 0, count)  # rows before the change say nothing of its cause
-    places = inside if late is None else None
-
-    def cause() -> Cause:
-        return _cause(there, judging.select(far), errors[far], expected[far], places, refit)
-
-    status, reason = _verdict(verification, cause)
-    return replace(verification, status=status, reason=reason, reservation=calibration.reservations().get(DO_NOT_USE))
+    draft = Verification("still good", "", mine, theirs, rms, count, len(used), moves, since, left_out, gain, measured)
+    cause: Cause | None = None
+    if not draft.as_promised:
+        far = np.arange(late or 0, count)  # rows before the change say nothing of its cause
+        places = inside if late is None else None
+        cause = _cause(there, judging.select(far), errors[far], expected[far], places, refit)
+    status, reason = _verdict(draft, cause)
+    return replace(draft, status=status, reason=reason, reservation=calibration.reservations().get(DO_NOT_USE))
 
 
 def _untold(calibration: Calibration) -> list[str]:
@@ -477,21 +453,19 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
     return np.asarray(np.maximum(position**2, expected_square(data)))
 
 
-def _since(rest: Rows, errors: Array, expected: Array) -> int | None:
+def _since(errors: Array, expected: Array) -> int | None:
     """Return the index, from 0, of the judged row from which on every block of rows has too large errors.
 
     None if there is no such row, or if all blocks have too large errors. ``errors`` ``(R, 3 or 6)`` are the errors of
-    the R judged rows, m and rad. ``expected`` ``(R,)`` are the rows' expected mean square position errors, m^2. Only
-    the number of the rows' indices ``rest`` matters.
+    the R judged rows, m and rad. ``expected`` ``(R,)`` are the rows' expected mean square position errors, m^2.
     """
-    if len(rest) < 4 * BLOCKS:
+    if len(errors) < 4 * BLOCKS:
         return None
-    parts = np.array_split(np.arange(len(rest)), BLOCKS)
+    parts = np.array_split(np.arange(len(errors)), BLOCKS)
     large = np.array([position_rms(errors[part]) > GROWN * np.sqrt(expected[part].mean()) for part in parts])
     if not large[-1] or large.all():
         return None
-    first = int(np.flatnonzero(~large)[-1]) + 1
-    return int(parts[first][0])
+    return int(parts[np.flatnonzero(~large)[-1] + 1][0])
 
 
 Cause = Literal["frames", "elsewhere", "joints", "unknown"]
@@ -554,40 +528,38 @@ def _less(data: Measurements, learnt: Array) -> Measurements:
     return replace(data, position=position, rotation=rotation_matrix(learnt[:, 3:]) @ data.rotation)
 
 
-def _verdict(found: Verification, cause: Callable[[], Cause]) -> tuple[Status, str]:
+def _verdict(found: Verification, cause: Cause | None) -> tuple[Status, str]:
     """Return the verdict and its reason as a sentence.
 
     Args:
         found: The verification so far, with errors but without a verdict.
-        cause: Function that finds the cause of the errors; it is called only if they are larger than promised.
+        cause: The cause of errors that are larger than promised.
     """
     mine, theirs, since = found.calibrated.rms, found.nominal.rms, found.since
     sizes = f"{figure(mine)} mm RMS where {figure(found.expected)} mm are expected"
-    if found.ratio <= GROWN and since is None:
+    if found.as_promised:
         if found.no_gain is not None:
             return "worse than nominal" if mine >= theirs else "no better than nominal", f"{sizes}, but {found.no_gain}"
         place = "" if found.measured is None or found.measured >= 0.5 else "; it was not measured here before"
         return "still good", f"{sizes}, and {figure(theirs)} mm with the nominal arm{place}"
-    why = cause()
-    if why == "frames":
-        elsewhere = "base and tool elsewhere explain it; give"
-        if since is not None:
-            return "another station", f"{sizes}, and {since} {elsewhere} those rows alone, and `refit='base,tool'`"
-        return "another station", f"{sizes}, and {elsewhere} `refit='base,tool'`"
-    if why == "elsewhere":
+    if cause == "frames":
+        begin, alone = ("", "") if since is None else (f"{since} ", "those rows alone, and ")
+        explained = f"{begin}base and tool elsewhere explain it; give {alone}`refit='base,tool'`"
+        return "another station", f"{sizes}, and {explained}"
+    if cause == "elsewhere":
         worse = f", worse than the nominal arm's {figure(theirs)} mm" if found.no_gain is not None else ""
         return "outside what was measured", (
             f"{sizes}{worse}: only {100 * (found.measured or 0.0):.0f} % of the rows lie where it was measured; "
             "measure there too, and calibrate with all rows"
         )
-    if why == "unknown" and mine >= (ALIKE if since is None else 1.0) * theirs:
+    if cause == "unknown" and mine >= (ALIKE if since is None else 1.0) * theirs:
         return "another arm", (
             f"{sizes}, where the nominal arm misses by {figure(theirs)} mm, and no place of base and tool and no zeros "
             "of the joints explain it: it is of another arm; calibrate anew"
         )
     grown = float(np.sqrt(max(mine**2 - found.expected**2, 0.0)))
     when = f" {since}" if since else " since the calibration"
-    how = "the joints' zeros explain it" if why == "joints" else "by a change of the arm"
+    how = "the joints' zeros explain it" if cause == "joints" else "by a change of the arm"
     return "drifted", (
         f"{sizes}: it is this arm's, for the nominal one misses by {figure(theirs)} mm, but {figure(grown)} mm RMS "
         f"have come{when}, {how}; calibrate anew"

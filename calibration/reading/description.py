@@ -688,10 +688,8 @@ def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
         roles += [(f"column {i + 1} of [{section}]", text) for i, text in enumerate(columns)]
     roles_of: dict[str, str] = {}
     for role, text in roles:
-        tree, quoted = expression_tree(text)
+        tree = expression_tree(text)
         plain = text.strip() if tree is None else ast.dump(tree)
-        for i, name in enumerate(quoted):
-            plain = plain.replace(f"'__quoted_{i}'", repr(name))
         if plain in roles_of:
             raise InputError(
                 f"{path}: '{shortened(text)}' is given for {roles_of[plain]} and for {role}; name each column once"

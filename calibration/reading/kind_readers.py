@@ -21,7 +21,7 @@ from pickenv.base import LIMITS, TO_SI, InputError, check_limit, listed, read_te
 from pickenv.calibration.camera.boards import Corners, Grey, corners_at, find_corners, find_tags, opencv, read_lens
 from pickenv.calibration.model import kinds
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
-from pickenv.calibration.model.observations import SAME_POSE, Observations, Origins, Rows
+from pickenv.calibration.model.observations import SAME_POSE, Observations, Origins, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading import description
 from pickenv.calibration.reading.table_files import Table, read_table, rotations, table_of_entries
@@ -73,10 +73,7 @@ class Files:
 
 
 QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
-"""For each recorded condition, the name of its limits in `pickenv.base.errors`.
-
-Temperatures are relative to the reference.
-"""
+"""For each recorded condition, the name of its limits in `pickenv.base.errors`; temperatures are from the reference."""
 
 FARTHEST = 1e4
 """Largest distance at which an instrument can see a tool, m."""
@@ -125,19 +122,11 @@ def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
         )
 
 
-def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> None:
-    """Refuse rows that equal another row to the last digit. They would count twice, and leak into held-out rows.
-
-    Args:
-        joints: Joints of all rows ``(N, n)``, rad or m.
-        found: The rows, whose readings are compared.
-        origins: File and line of each row.
-    """
-    numbers = np.concatenate([joints, found.readings()], axis=1)
+def refuse_duplicates(rows: Observations) -> None:
+    """Refuse rows that equal another row to the last digit. They would count twice, and leak into held-out rows."""
+    numbers, origins = np.concatenate([rows.joints, rows.readings()], axis=1), origins_of(rows)
     _, first, inverse, count = np.unique(numbers, axis=0, return_index=True, return_inverse=True, return_counts=True)
-    again = np.setdiff1d(np.arange(len(numbers)), first)
-    if len(again):
-        row = int(again[0])
+    for row in np.setdiff1d(np.arange(len(numbers)), first)[:1].tolist():
         file, line = origins.place(int(first[inverse.ravel()[row]]))
         place, this = origins.place(row)
         raise InputError(
@@ -159,12 +148,10 @@ def read_joints(table: Table, layout: description.DescriptionFile, where: str, g
         InputError: If the number or the units of the joint columns do not fit the arm. Also if a joint lies far beyond
             its limits, which almost always means a wrong unit, deg for rad or mm for m.
     """
-    columns, n = [], geometry.joints
-    if len(layout.joint_units) != n:
+    columns, count, n = [], len(layout.joint_units), geometry.joints
+    if count != n:
         names = listed(geometry.joint_names)
-        raise InputError(
-            f"{where}: {len(layout.joint_units)} joint columns are named, but the arm has {n} joints: {names}"
-        )
+        raise InputError(f"{where}: {count} joint columns are named, but the arm has {n} joints: {names}")
     for i, (column, unit) in enumerate(zip(layout.joint_columns, layout.joint_units, strict=True)):
         kind, units = ("prismatic", description.LENGTHS) if geometry.prismatic[i] else ("revolute", description.ANGLES)
         if unit not in units:
@@ -173,12 +160,11 @@ def read_joints(table: Table, layout: description.DescriptionFile, where: str, g
         values = table.value(column) * scale
         room = upper - lower if geometry.prismatic[i] else max(upper - lower, 2 * np.pi)
         outside = (values < lower - room) | (values > upper + room)
-        if outside.any():
-            row = int(np.argmax(outside))
+        for row in np.flatnonzero(outside)[:1]:
             likely = {"rad": "deg", "deg": "rad", "m": "mm", "mm": "m"}[unit]
             mixed = f" ({int(outside.sum())} of {len(values)} rows are so)" if not outside.all() else ""
             raise InputError(
-                f"{table.where}: row {table.lines[row]}, column '{column}' is {values[row] / scale:.6g} {unit}, but "
+                f"{table.cell(row, column)} is {values[row] / scale:.6g} {unit}, but "
                 f"joint {i + 1} ({geometry.joint_names[i]}) moves over {lower / scale:.4g} to {upper / scale:.4g} "
                 f"{unit}; its unit is probably {likely}{mixed}"
             )
@@ -234,10 +220,8 @@ UNIT_LENGTH = 0.02
 """Largest allowed difference of a direction vector's length from 1."""
 
 EXPLAINED, UNEXPLAINED = 0.2, 0.5
-"""Limits of the misfit of a wire's lengths to the best anchor, as a share of the lengths' spread.
-
-The misfit is below the first limit if the unit is right, and at or above the second if it is wrong.
-"""
+"""Misfit of a wire's lengths to the best anchor, as a share of the lengths' spread: below the first limit if the unit
+is right, and at or above the second if it is wrong."""
 
 
 @register("instrument", "reflectors")
@@ -254,20 +238,19 @@ def _reflectors(files: Files, section: description.ReflectorsTable) -> kinds.Ref
             blank = np.stack([table.fill_blanks(name) for name in first.columns], -1)
         values = table.values(first.columns).reshape(len(table.lines), -1, 3) * TO_SI[first.unit]
         empty, zero = blank.reshape(values.shape).any(axis=2), (values == 0).all(axis=2)
-        if (zero & ~empty).any() and "zeros" not in section.lost:
-            row, which = np.argwhere(zero & ~empty)[0]
+        for row, which in () if "zeros" in section.lost else np.argwhere(zero & ~empty)[:1]:
             raise InputError(
                 f"{table.where}: row {table.lines[row]}: reflector {which + 1} lies at 0, 0, 0, which usually means "
                 "that the tracker lost it; say lost = 'zeros' in [reflectors], or remove the row"
             )
         points.append(values)
-        visible_parts.append(~(empty | (zero if "zeros" in section.lost else empty)))
+        visible_parts.append(~(empty | zero))
     visible = np.concatenate(visible_parts)
     if (visible.sum(axis=0) < 3).any():
         which = int(np.argmin(visible.sum(axis=0)))
         raise InputError(f"{files.source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
-    places = np.reshape(section.places, (-1, 3)) if section.places else None
     data = kinds.ReflectorObservations(files.joints, np.concatenate(points), visible, first.std)
+    places = np.reshape(section.places, (-1, 3)) if section.places else None
     return replace(data, places=places, places_std=section.places_std)
 
 
@@ -439,7 +422,7 @@ def _refuse_other_unit(files: Files, data: kinds.DistanceObservations) -> None:
 
 
 STEM = "{file}"
-"""Placeholder in the pattern of a picture's path; it stands for the name, without ending, of the view's pose file."""
+"""Placeholder in the path of a picture or joint log: name of a pose or instrument file without ending, or of a bag."""
 
 MANY_BLIND = 0.25
 """Share of pictures without a detected corner above which all pictures are refused, since something is wrong."""
@@ -492,7 +475,7 @@ def read_views(
     data = PixelObservations(joints, corners, visible, file.target_points[0], *lens, std, file.pixels.mount or "world")
     names = np.array([str(path) for path in pictures]) if pictures else None
     data = replace(data, source=table.where, remarks=np.array(remarks), pictures=names, origins=origins)
-    refuse_duplicates(joints, data, origins)
+    refuse_duplicates(data)
     return data
 
 

@@ -26,8 +26,6 @@ from pickenv.calibration.model.measurements import (
 )
 from pickenv.calibration.model.observations import Clocks, Observations, Origins, origins_of
 from pickenv.calibration.reading import description, kind_readers, recording, table_files
-from pickenv.calibration.reading.kind_readers import Files
-from pickenv.calibration.reading.table_files import read_log
 
 
 def read_measurements(
@@ -105,7 +103,7 @@ def read_scene(
     else:
         form = () if given is None else (given.separator, given.decimal, given.names)
         topic = None if given is None or given.recording is None else given.recording.topic
-        logs = [(read_log(Path(path), topic, *form), Path(path)) for path in paths]
+        logs = [(table_files.read_log(Path(path), topic, *form), Path(path)) for path in paths]
     return [_data_set(part, geometry, layout, where, repeats) for layout, part in _by_scene(logs, given)]
 
 
@@ -168,31 +166,24 @@ def _data_set(
     ``given`` is the column description, None for pickenv's own format, and ``where`` its name for messages. With
     ``repeats``, a row may equal another to the last digit.
     """
-    tables, paths = [table for table, _ in logs], [path for _, path in logs]
+    tables = [table for table, _ in logs]
     names, links = (("", ""), ("", "")) if given is None else given.ends
     geometry = _between(geometry, links, where or tables[0].where)
     if given is not None and given.pixels is not None:
-        views: Observations = _in_scene(kind_readers.read_views(*logs[0], geometry, given, where), geometry, names)
-        return views
+        return _placed(kind_readers.read_views(*logs[0], geometry, given, where), geometry, scene=names)
     layouts = [given or own_description(geometry, table.header, table.where) for table in tables]
     logged, described, clocks = tables, layouts, tuple[Clocks, ...]()
     if given is not None and given.recording is not None:
 
         def read(table: table_files.Table, layout: description.DescriptionFile) -> Observations:
-            rows: Observations = _rows([table], [layout], where, geometry, "fitted")
-            return rows
+            return _rows([table], [layout], where, geometry, "fitted")
 
-        parts = [
-            recording.read_recording(table, path, given, where, geometry, read)
-            for table, path in zip(tables, paths, strict=True)
-        ]
+        parts = [recording.read_recording(table, path, given, where, geometry, read) for table, path in logs]
         tables, layouts, clocks = [part[0] for part in parts], [part[1] for part in parts], tuple(p[2] for p in parts)
     rows = _rows(tables, layouts, where, geometry, "fitted" if given is not None else _frames(tables))
     if not repeats:
-        kind_readers.refuse_duplicates(rows.joints, rows, origins_of(rows))
-    rows = replace(rows, origins=replace(origins_of(rows), clocks=clocks, repeat=_repeat(logged, described)))
-    read_rows: Observations = _in_scene(rows, geometry, names)
-    return read_rows
+        kind_readers.refuse_duplicates(rows)
+    return _placed(rows, geometry, scene=names, clocks=clocks, repeat=_repeat(logged, described))
 
 
 def own_description(geometry: Geometry, header: list[str], where: str) -> description.DescriptionFile:
@@ -207,7 +198,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
         InputError: If a joint column is missing or its unit unknown, or if a condition's column is not of that format.
     """
     expected = joint_columns(geometry.prismatic)
-    joints, units = [], []
+    joints = dict[str, str]()  # the unit of each column
     for name in expected:
         stem = name.rpartition("_")[0]
         columns = [column for column in header if column.rpartition("_")[0] == stem]
@@ -216,8 +207,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
             faults = ("is missing", f"has the unknown unit '{unit}'", "is given twice")
             fault, ours = faults[min(len(columns), 2)], f"{', '.join(expected)}, x_mm, y_mm, z_mm"
             raise InputError(f"{where}: joint column '{name}' {fault}; our format has {ours}")
-        joints.append(columns[0])
-        units.append(unit)
+        joints[columns[0]] = unit
     _refuse_more_joints(header, expected, geometry, where)
     position_unit = "m" if "x_m" in header else "mm"
     has_rotation = any(column.startswith(("rx_", "ry_", "rz_")) for column in header)
@@ -230,7 +220,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
             )
     angles, (warmth, mass) = tuple(f"r{axis}_{rotation_unit}" for axis in "xyz"), OWN_CONDITIONS
     return description.DescriptionFile(
-        joints=description.JointsTable(tuple(joints), units=tuple(units)),
+        joints=description.JointsTable(tuple(joints), units=tuple(joints.values())),
         position=description.LengthsTable(
             columns=tuple(f"{axis}_{position_unit}" for axis in "xyz"), unit=position_unit
         ),
@@ -281,19 +271,20 @@ def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry
     return geometry.between(*ends)
 
 
-def _in_scene(rows: Any, geometry: Geometry, names: tuple[str, str]) -> Any:
-    """Return rows with the names of sensor and target added, and for a whole robot the links that carry these two.
+def _placed(rows: Any, geometry: Geometry, **origins: Any) -> Observations:
+    """Return rows with what is known of their origin added, and for a whole robot the links of sensor and target.
 
     Args:
         rows: The rows, `Observations` of any kind.
         geometry: The geometry from `_between`.
-        names: Names of sensor and target, in the order of ``DescriptionFile.ends``.
+        **origins: Fields of `Origins`, such as the names of sensor and target in the order of ``DescriptionFile.ends``.
     """
-    rows = replace(rows, origins=replace(origins_of(rows), scene=names))
-    if geometry.tree is None:
-        return rows
-    between = np.tile([geometry.tree.sensor, geometry.tree.target], (len(rows.joints), 1))
-    return replace(rows, conditions=replace(rows.conditions, between=between))
+    conditions = rows.conditions
+    if geometry.tree is not None:
+        between = np.tile([geometry.tree.sensor, geometry.tree.target], (len(rows.joints), 1))
+        conditions = replace(conditions, between=between)
+    placed: Observations = replace(rows, origins=replace(origins_of(rows), **origins), conditions=conditions)
+    return placed
 
 
 def _rows(
@@ -302,7 +293,7 @@ def _rows(
     where: str,
     geometry: Geometry,
     frames: Frames,
-) -> Any:
+) -> Observations:
     """Read the rows of tables of one layout as `Observations` of any kind except pixels.
 
     ``layouts`` are the column descriptions of the files, and ``where`` is their name for messages; it may be empty.
@@ -315,11 +306,12 @@ def _rows(
     lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
     origins = Origins(tuple(table.where for table in tables), file, lines)
     where = where or tables[0].where
-    files = Files(tables, layouts, where, geometry, joints, source, origins)
+    files = kind_readers.Files(tables, layouts, where, geometry, joints, source, origins)
     kind_readers.refuse_repeated_joints(files.first, where, joints, geometry)
     rows: Any = get("instrument", files.first.kind)(files, files.first.measured)
     known: dict[str, Frames] = {} if frames == "fitted" else {"frames": frames}
-    return replace(rows, source=source, conditions=_conditions(files), origins=origins, **known)
+    complete: Observations = replace(rows, source=source, conditions=_conditions(files), origins=origins, **known)
+    return complete
 
 
 def _frames(tables: list[table_files.Table]) -> Frames:
@@ -344,7 +336,7 @@ def _frames(tables: list[table_files.Table]) -> Frames:
     return "known" if "known" in places_of else "fitted"
 
 
-def _conditions(files: Files) -> Conditions:
+def _conditions(files: kind_readers.Files) -> Conditions:
     """Read payload, temperature relative to the reference, and torques; only those that every file records."""
     conditions: dict[str, Array] = {}
     for name in ("temperature", "payload", "torque"):
@@ -362,7 +354,7 @@ def _conditions(files: Files) -> Conditions:
 
 
 @register("instrument", "position")
-def _poses(files: Files, _section: Any) -> Measurements:
+def _poses(files: kind_readers.Files, _section: Any) -> Measurements:
     """Read poses or positions.
 
     Raises:
@@ -370,10 +362,9 @@ def _poses(files: Files, _section: Any) -> Measurements:
             that each convention would leave.
     """
     first, position = files.first, files.values()
-    for table, layout in files.pairs():
-        kind_readers.refuse_unseen(table, layout)
     rotation, attitudes = None, first.rotation
     for table, layout in files.pairs():
+        kind_readers.refuse_unseen(table, layout)
         if (layout.rotation is None) != (attitudes is None):
             without, with_ = (files.tables[0], table) if attitudes is None else (table, files.tables[0])
             raise InputError(
@@ -381,9 +372,7 @@ def _poses(files: Files, _section: Any) -> Measurements:
                 "own (`columns`), or remove the attitudes"
             )
     if attitudes is not None:
-        values = np.concatenate(
-            [kind_readers.read_attitudes(table, layout.rotation) for table, layout in files.pairs()]
-        )
+        values = np.concatenate([kind_readers.read_attitudes(t, d.rotation) for t, d in files.pairs()])
         if attitudes.convention is None:
             fits = table_files.convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
@@ -392,9 +381,8 @@ def _poses(files: Files, _section: Any) -> Measurements:
                 "name one of them, or the maker's, as convention in [rotation]"
             )
         rotation = table_files.rotations(attitudes.convention, values)
-    rows = Measurements(
-        files.joints, position, rotation, files.geometry.prismatic, first.std, std_stated=first.measured.std is not None
-    )
+    stated = first.measured.std is not None
+    rows = Measurements(files.joints, position, rotation, files.geometry.prismatic, first.std, std_stated=stated)
     return rows if attitudes is None else replace(rows, attitude_std=attitudes.std)
 
 

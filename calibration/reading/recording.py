@@ -9,7 +9,7 @@ units; times in seconds.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import attrgetter
@@ -32,12 +32,6 @@ from pickenv.calibration.model.observations import Clocks, Observations, Rows, e
 from pickenv.calibration.reading import description, kind_readers, table_files
 from pickenv.calibration.reading.table_files import Table, read_log
 
-STEM = "{file}"
-"""Placeholder in the joint log's path.
-
-It stands for the name of the instrument's file without its ending, or for the whole name of a bag folder.
-"""
-
 LEAST_SAMPLES = 50
 """Smallest number of an instrument's samples within the joint log from which the clocks can be identified."""
 
@@ -45,16 +39,11 @@ CHORD = 0.1
 """Time over which speeds are computed, s: shorter than a motion, and long enough to suppress noise."""
 
 LEAST_OVERLAP, LEAST_CORRELATION = 0.3, 0.4
-"""Two conditions for trying a clock offset: smallest overlap of the logs, and smallest correlation of the speeds.
-
-The overlap is a share of the shorter log.
-"""
+"""Conditions for trying a clock offset: smallest overlap, as a share of the shorter log, and correlation of speeds."""
 
 PEAKS, CLEAR = 5, 0.7
-"""Number of clock offsets that are tried by fits, and a limit on the best offset's median misfit.
-
-The limit is a share of the median misfit of every other offset. Above this limit, the best offset is ambiguous.
-"""
+"""Number of clock offsets that are tried by fits, and a limit on the best offset's median misfit as a share of that of
+every other offset. Above this limit, the best offset is ambiguous."""
 
 TRIED, FITTED = 300, 1500
 """Largest numbers of samples: in a fit that tries a clock offset, and in the final fit of the clocks."""
@@ -69,19 +58,14 @@ REST, SETTLING = 0.4, 0.3
 """Shortest standstill of the arm that gives a row, s, and time at its start in which the arm may still swing, s."""
 
 SPREADS, FINEST, COARSEST = 8.0, 2e-5, 3e-3
-"""Largest range of a resting joint's values, in standard deviations of the joint log's noise.
-
-The other two numbers are the least and the largest value of this limit, rad or m.
-"""
+"""Largest range of a resting joint's values, in standard deviations of the joint log's noise, and the least and the
+largest value of this limit, rad or m."""
 
 PATH, MOST_ROWS = 0.02, 2000
 """Path length in joint space between two rows of a motion, rad and m together, and the largest number of such rows."""
 
 Read = Callable[[Table, description.DescriptionFile], Observations]
-"""Function that reads a table of joints and readings by its column description.
-
-It treats each row as a measurement of the arm at rest.
-"""
+"""Function that reads a table of joints and readings by its description, each row as if measured at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,10 +253,8 @@ def read_recording(
     """
     logs = _logs(table, path, layout, where, geometry)
     timed, found, first, middle = _first_guess(logs, read)
-    sure = sigma_of(found, timed) <= OUTLIER_SIGMA
-    model = prior_model("recording", found.geometry, known=False)
-    timed = timed.select(sure)
-    solution = solve(model, timed)
+    timed = timed.select(sigma_of(found, timed) <= OUTLIER_SIGMA)
+    solution = solve(prior_model("recording", found.geometry, known=False), timed)
     std = dict(zip(solution.identifiability.names, solution.standard_deviation, strict=True))
     offset, rate = (solution.unknowns[name] for name in ("clock_offset", "clock_rate"))
     times = middle - first + (logs.times - middle) / (1.0 + rate) - offset
@@ -297,9 +279,8 @@ def read_recording(
     if not still:
         drift = timed.drift(solution.arm_model, unknowns_of(solution, timed)) * error
         channels = timed.rows.equations()[1]
-        layout = _with_std(
-            logs.layout, [np.sqrt(1.0 + np.mean(drift[channels == i] ** 2)) for i in np.unique(channels)]
-        )
+        factors = [np.sqrt(1.0 + np.mean(drift[channels == i] ** 2)) for i in np.unique(channels)]
+        layout = _with_std(logs.layout, factors)
     return logs.rows(times, groups), logs.layout if still else layout, clocks
 
 
@@ -322,7 +303,7 @@ def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: 
     """Read both logs, check their times, and leave out lost samples."""
     told = layout.recording
     assert told is not None
-    home = path.parent / told.joints.replace(STEM, path.name if path.is_dir() else path.stem)
+    home = path.parent / told.joints.replace(kind_readers.STEM, path.name if path.is_dir() else path.stem)
     log = read_log(home, told.joints_topic, layout.separator, layout.decimal)
     torques = () if layout.conditions.torques is None else layout.conditions.torques.columns
     columns = (*layout.joint_columns, *torques)
@@ -337,9 +318,8 @@ def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: 
         layout = replace(layout, reflectors=replace(layout.reflectors, lost=()))
     stamps, entries = _times(table, told.time, told.unit), _times(log, told.joints_time, told.joints_unit)
     joints = kind_readers.read_joints(log, layout, where, geometry)
-    jumps = np.abs(np.diff(joints, axis=0)) > np.pi
-    if jumps[:, ~np.array(geometry.prismatic)].any():
-        row, joint = np.argwhere(jumps)[0]
+    jumps = (np.abs(np.diff(joints, axis=0)) > np.pi) & ~np.array(geometry.prismatic)
+    for row, joint in np.argwhere(jumps)[:1]:
         place = log.cell(row + 1, layout.joint_columns[joint])
         raise InputError(f"{place} jumps by more than half a turn; write the joints without jumps of 360 deg")
     return Logs(
@@ -365,11 +345,10 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
         names: The columns or expressions whose cells must not be empty.
     """
     lost = np.zeros(len(table.lines), dtype=bool)
-    for name in {part for text in names for part in _plain(text, table.header)}:
+    for name in _columns_in(names, table.header):
         lost |= table.fill_blanks(name)
     if layout.kind in ("position", "reflectors"):
-        places = table.values(layout.columns).reshape(len(lost), -1, 3)
-        lost |= (places == 0.0).all(axis=2).any(axis=1)
+        lost |= (table.values(layout.columns).reshape(len(lost), -1, 3) == 0.0).all(axis=2).any(axis=1)
     rows = np.flatnonzero(~lost).tolist()
     if len(rows) < LEAST_SAMPLES:
         raise InputError(f"{table.where} has {len(rows)} samples; a recording needs at least {LEAST_SAMPLES}")
@@ -382,18 +361,18 @@ def _complete(log: Table, names: tuple[str, ...]) -> Table:
     A topic may also carry other messages, such as those of a gripper alone.
     """
     lacking = np.zeros(len(log.lines), dtype=bool)
-    for name in {part for text in names for part in _plain(text, log.header)}:
+    for name in _columns_in(names, log.header):
         lacking |= np.array([not cell for cell in log.texts(name)])
     if lacking.all():
         raise InputError(f"no message of {log.where} has all of {listed(names)}; record a topic where one has them all")
     return log.select(np.flatnonzero(~lacking).tolist())
 
 
-def _plain(text: str, header: list[str]) -> Iterator[str]:
-    """Yield the columns in ``header`` that the column expression ``text`` uses."""
-    tree, quoted = table_files.expression_tree(text)
-    words = [] if tree is None else [node.id for node in ast.walk(tree) if isinstance(node, ast.Name)]
-    yield from (name for name in (text, *words, *quoted) if name in header)
+def _columns_in(expressions: Sequence[str], header: list[str]) -> set[str]:
+    """Return the columns in ``header`` that expressions of columns use."""
+    trees = [tree for tree in map(table_files.expression_tree, expressions) if tree is not None]
+    words = {node.id for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    return (words | set(expressions)) & set(header)
 
 
 def _times(table: Table, name: str, unit: str) -> Array:
@@ -408,10 +387,9 @@ def _times(table: Table, name: str, unit: str) -> Array:
     steps = np.diff(times)
     if len(times) < 4:
         raise InputError(f"{table.where} has {len(times)} rows; a log needs at least 4")
-    if (steps <= 0).any():
-        row = int(np.argmax(steps <= 0)) + 1
-        fault = "repeats the time before it" if steps[row - 1] == 0 else "lies before the time above it"
-        raise InputError(f"{table.cell(row, name)} {fault}; give a log in the order of its clock, each time once")
+    for row in np.flatnonzero(steps <= 0)[:1]:
+        fault = "repeats the time before it" if steps[row] == 0 else "lies before the time above it"
+        raise InputError(f"{table.cell(row + 1, name)} {fault}; give a log in the order of its clock, each time once")
     return np.asarray(times)
 
 
@@ -534,7 +512,7 @@ def _first_guess(logs: Logs, read: Read) -> tuple[Timed, Identification, float, 
     if not tried:
         raise InputError(f"{where}: hardly any sample lies within the joint log; record both at the same time")
     tried.sort(key=lambda item: item[0])
-    (miss, start, found), *others = tried
+    (miss, _, found), *others = tried
     offset = [begun - found.unknowns["clock_offset"] for _, begun, found in tried]
     timed = _timed(logs, offset[0], FITTED, read)
     assert timed is not None
@@ -585,11 +563,9 @@ def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
     noise = np.minimum(np.median(jerks, axis=0) / (0.6745 * np.sqrt(20.0)), np.percentile(windows.std(axis=2), 10, 0))
     digit = np.array([np.min(part[part > 0], initial=0.0) if (part > 0).any() else 0.0 for part in jerks.T])
     within = np.clip(np.maximum(SPREADS * noise, 1.5 * np.minimum(digit, noise)), FINEST, COARSEST)
-    starts = np.flatnonzero((np.ptp(windows, axis=2) <= within).all(axis=1))
-    resting = np.zeros(len(logs.log), dtype=bool)
-    for start in starts:
-        resting[start : start + width] = True
-    edges = np.flatnonzero(np.diff(np.r_[0, resting.astype(int), 0]))
+    still = (np.ptp(windows, axis=2) <= within).all(axis=1)
+    resting = np.convolve(still, np.ones(width, dtype=int)) > 0  # every entry of a window that stands still
+    edges = np.flatnonzero(np.diff(np.r_[False, resting, False].astype(int)))
     groups = []
     for first, last in edges.reshape(-1, 2):
         begin, end = logs.log[first] + SETTLING, logs.log[last - 1] - 2.0 * step

@@ -58,10 +58,8 @@ SAME_AS = {
 """Attitude conventions of robot makers: for each name, the name of the equal convention in `GENERAL`."""
 
 CONVENTIONS = GENERAL | {maker: GENERAL[general] for maker, general in SAME_AS.items()}
-"""Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function.
-
-The function turns values (N, 3 or 4), angles in rad, into rotations.
-"""
+"""Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function that turns values
+(N, 3 or 4), angles in rad, into rotations."""
 
 
 def columns_of(convention: str) -> int:
@@ -114,10 +112,11 @@ LONGEST_EXPRESSION = 1000
 """Length of an expression, in characters, up to which it is parsed; a parser's depth is limited."""
 
 
-Functions = dict[type[ast.AST], Callable[..., Any]]
-BINARY: Functions = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
-SIGNS: Functions = {ast.USub: operator.neg, ast.UAdd: operator.pos}
-"""Signs that are allowed in expressions of columns, each with the function that computes it; `BINARY` has operators."""
+OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
+    **{ast.USub: operator.neg, ast.UAdd: operator.pos},
+}
+"""Operators and signs that are allowed in expressions of columns, each with the function that computes it."""
 
 
 class Table:
@@ -162,8 +161,7 @@ class Table:
     def column(self, name: str) -> Array:
         """Return a column as finite numbers ``(N,)``."""
         if name not in self.cache:
-            cells = zip(self.texts(name), self.lines, strict=True)
-            self.cache[name] = np.array([self._number(text, name, line) for text, line in cells])
+            self.cache[name] = np.array([self._number(text, name, row) for row, text in enumerate(self.texts(name))])
         return self.cache[name]
 
     def index(self, name: str) -> int:
@@ -190,14 +188,14 @@ class Table:
         """
         texts = self.texts(name)
         blank = [text.lower() in ("", "nan", "null", "none", "na", "-") for text in texts]
-        cells = zip(texts, blank, self.lines, strict=True)
-        self.cache[name] = np.array([0.0 if lost else self._number(text, name, line) for text, lost, line in cells])
+        numbers = [0.0 if blank[row] else self._number(text, name, row) for row, text in enumerate(texts)]
+        self.cache[name] = np.array(numbers)
         return np.array(blank)
 
-    def _number(self, text: str, name: str, line: int) -> float:
+    def _number(self, text: str, name: str, row: int) -> float:
         """Return the finite number that a cell's ``text`` spells, with this file's decimal sign.
 
-        Column ``name`` and ``line`` are for messages.
+        Column ``name`` and the index ``row``, from 0, are for messages.
         """
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
         value = decimal_number("" if grouped else text.replace(self.decimal, "."))
@@ -205,69 +203,71 @@ class Table:
             return value
         fault = f"holds '{shortened(text)}', which is not a number" if text else "is empty"
         predicate = fault if value is None else f"is {shortened(text)}"
-        raise InputError(f"{self.where}: row {line}, column '{shortened(name)}' {predicate}; correct or remove the row")
+        raise InputError(f"{self.cell(row, shortened(name))} {predicate}; correct or remove the row")
 
     def value(self, expression: str) -> Array:
         """Return the values ``(N,)`` of a column, or of an expression of columns with + - * / and numbers.
 
         In an expression, column names that are no identifiers are written in backticks.
         """
-        tree, quoted = expression_tree(expression)
+        tree = expression_tree(expression)
         if expression in self.header or tree is None:
             return self.column(expression)  # refused if the file has no such column
         try:
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                values = np.broadcast_to(self._evaluate(tree, expression, quoted), len(self.rows)).astype(float)
+                values = np.broadcast_to(self._evaluate(tree, expression), len(self.rows)).astype(float)
         except (OverflowError, RecursionError) as error:  # a constant of 400 digits, brackets in brackets
             raise InputError(
                 f"{self.where}: cannot compute '{shortened(expression)}'; give numbers and brackets of ordinary size"
             ) from error
-        if not np.isfinite(values).all():
-            place = f"{self.where}: row {self.lines[int(np.argmin(np.isfinite(values)))]}"
-            raise InputError(f"{place}, '{shortened(expression)}' divides by zero or overflows; correct it")
+        for row in np.flatnonzero(~np.isfinite(values))[:1]:
+            place = f"{self.where}: row {self.lines[row]}, '{shortened(expression)}'"
+            raise InputError(f"{place} divides by zero or overflows; correct it")
         return values
 
     def values(self, expressions: tuple[str, ...]) -> Array:
         """Return the values ``(N, k)`` of k columns or expressions."""
         return np.stack([self.value(expression) for expression in expressions], -1)
 
-    def _evaluate(self, node: ast.AST, expression: str, quoted: list[str]) -> Any:
+    def _evaluate(self, node: ast.AST, expression: str) -> Any:
         """Return the value of a syntax tree: a number, or an array ``(N,)`` if it uses columns.
 
         Args:
             node: The tree, from `expression_tree`.
             expression: The whole expression, for messages.
-            quoted: The column names in backticks, from `expression_tree`.
         """
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
                 return np.float64(value)
             case ast.Name(id=name):
-                place = re.fullmatch(r"__quoted_(\d+)", name)
-                return self.column(quoted[int(place[1])] if place else name)
-            case ast.BinOp(left=left, op=op, right=right) if function := BINARY.get(type(op)):
-                return function(*(self._evaluate(part, expression, quoted) for part in (left, right)))
-            case ast.UnaryOp(op=op, operand=operand) if sign := SIGNS.get(type(op)):
-                return sign(self._evaluate(operand, expression, quoted))
+                return self.column(name)
+            case ast.BinOp(left=left, op=op, right=right) if function := OPERATORS.get(type(op)):
+                return function(self._evaluate(left, expression), self._evaluate(right, expression))
+            case ast.UnaryOp(op=op, operand=operand) if sign := OPERATORS.get(type(op)):
+                return sign(self._evaluate(operand, expression))
         fault = f"{self.where}: cannot compute '{shortened(expression)}'"
         if isinstance(node, ast.Attribute):  # a column of another file, such as pose.x
             raise InputError(f"{fault}: there is no column '{shortened(ast.unparse(node))}', but {listed(self.header)}")
         raise InputError(f"{fault}; use names, numbers and + - * / only")
 
 
-def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:
-    """Parse an expression of columns: return its syntax tree, and the column names that it has in backticks.
+def expression_tree(expression: str) -> ast.expr | None:
+    """Parse an expression of columns: return its syntax tree, in which names in backticks are names as any other.
 
-    The tree is None if the expression cannot be parsed.
+    The result is None if the expression cannot be parsed.
     """
-    quoted = re.findall(r"`([^`]+)`", expression)
-    text = expression
-    for i, name in enumerate(quoted):
-        text = text.replace(f"`{name}`", f"__quoted_{i}")
+    text, quoted = expression, {f"__quoted_{i}": name for i, name in enumerate(re.findall(r"`([^`]+)`", expression))}
+    for mark, name in quoted.items():
+        text = text.replace(f"`{name}`", mark)
+    if len(text) > LONGEST_EXPRESSION:
+        return None
     with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
-        if len(text) <= LONGEST_EXPRESSION:
-            return ast.parse(text.strip(), mode="eval").body, quoted
-    return None, quoted
+        tree = ast.parse(text.strip(), mode="eval").body
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name):
+                node.id = quoted.get(node.id, node.id)
+        return tree
+    return None
 
 
 def refuse_repeated(paths: Sequence[str | Path]) -> None:
@@ -431,10 +431,8 @@ FIELDS: dict[str, tuple[str, ...]] = {
         *("transform.rotation.x", "transform.rotation.y", "transform.rotation.z", "transform.rotation.w"),
     ),
 }
-"""Types of messages that are read, and the fields of each that become columns.
-
-The columns of a JointState are named after its joints. All types have a header with a stamp.
-"""
+"""Types of messages that are read, all with a stamp in their header, and the fields of each that become columns. The
+columns of a JointState are named after its joints."""
 
 
 def read_log(
@@ -502,7 +500,7 @@ def _messages(path: Path, topic: str) -> tuple[dict[str, str], list[tuple[int, A
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Reader(path) as bag:
         kinds = {connection.topic: connection.msgtype for connection in bag.connections}
-        publishers = [each for each in bag.connections if each.topic == topic and each.msgtype in FIELDS]
+        publishers = [item for item in bag.connections if item.topic == topic and item.msgtype in FIELDS]
         found = bag.messages(publishers) if publishers else ()
         return kinds, [(time, store.deserialize_cdr(data, kinds[topic])) for _, time, data in found]
 

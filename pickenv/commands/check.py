@@ -211,8 +211,7 @@ def _verified(path: Path, kind: str) -> str:
         case "twin":
             plant = pickenv.arm.read_twin(path)
             assert plant.posterior is not None
-            count = plant.posterior.factor.shape[1]
-            return f"of arm '{plant.arm.name}', {count} parameters with their covariance"
+            return f"of arm '{plant.arm.name}', {plant.posterior.factor.shape[1]} parameters with their covariance"
         case "policy" | "policy with a memory":
             policy = pickenv.load_policy(path) if kind == "policy" else pickenv.agents.load_remembering(path)
             return f"{policy.algorithm} on arm '{policy.arm}'"

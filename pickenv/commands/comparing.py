@@ -241,7 +241,7 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
     record = pickenv.inspect.read_run(run)
     current = [path for path in recordings if (record.files or {}).get(path.name) == file_sha256(path)]
     if record.kind == "evaluation":  # a recording per policy
-        current = [path for path in current if path == _path_of(record, policy)]
+        current = [path for path in current if path == _shown(record, policy)[1]]
     if current and (policy is None or record.kind == "evaluation"):
         return current
     with added_to(record):
@@ -275,36 +275,31 @@ def _record_evaluation(run: pickenv.inspect.Run, policy: str | None) -> Path:
     from pickenv.experiments.policies import reaches_in
     from pickenv.experiments.policy_tables import read_episodes
 
-    rows, name = read_episodes(run), _shown_policy(run, policy)
+    rows, (name, path) = read_episodes(run), _shown(run, policy)
     plant, feedback = rows.where(policy=name).levels("plant", "feedback")[0]
     cells = rows.where(policy=name, plant=plant, feedback=feedback, training=0)
     return pickenv.inspect.inspect_evaluation(
         {behind: reaches_in(cells.where(compensation=behind)) for (behind,) in cells.levels("compensation")},
         pickenv.load_plant(plant),
-        _path_of(run, policy),
+        path,
         seed=int(rows["seed"][0]),
     )
 
 
-def _shown_policy(run: pickenv.inspect.Run, policy: str | None) -> str:
-    """Return the policy of an evaluation to show: ``policy`` if given, else the first.
+def _shown(run: pickenv.inspect.Run, policy: str | None) -> tuple[str, Path]:
+    """Return the policy of an evaluation to show, ``policy`` if given, else the first, and its recording's path.
 
     Raises:
         InputError: If the evaluation has no such policy.
     """
     from pickenv.experiments.policy_tables import read_episodes
+    from pickenv.inspect.colours import policy_key
 
     names = [name for (name,) in read_episodes(run).levels("policy")]
     if policy is not None and policy not in names:
         raise InputError(f"{run.folder} holds no policy '{policy}'; it holds {', '.join(names)}")
-    return policy or names[0]
-
-
-def _path_of(run: pickenv.inspect.Run, policy: str | None) -> Path:
-    """Return the path of the recording of one policy of an evaluation; None stands for the evaluation's first."""
-    from pickenv.inspect.colours import policy_key
-
-    return run.folder / f"{policy_key(_shown_policy(run, policy))}.rrd"
+    name = policy or names[0]
+    return name, run.folder / f"{policy_key(name)}.rrd"
 
 
 def figures(run: Path, out: Path | None = None, formats: Annotated[str, Option("--format")] = "svg,png") -> None:
@@ -324,9 +319,8 @@ def figures(run: Path, out: Path | None = None, formats: Annotated[str, Option("
 
     record, folder = pickenv.inspect.read_run(run), out or run / "figures"
     drawings, suffixes = pickenv.inspect.drawings_of(record), formats.split(",")
-    separate(
-        {"RUN": _numbers(run)}, {"--out": [folder / f"{d.name}.{suffix}" for d in drawings for suffix in suffixes]}
-    )
+    files = [folder / f"{drawing.name}.{suffix}" for drawing in drawings for suffix in suffixes]
+    separate({"RUN": _numbers(run)}, {"--out": files})
     with added_to(record):
         written = pickenv.inspect.write_drawings(drawings, folder, suffixes)
     for path in written:

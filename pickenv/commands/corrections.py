@@ -277,27 +277,20 @@ def plan_poses(
         raise InputError("--fit full expects nothing of the parts; leave out --tolerances and --prior-scale")
     test_joints = None if at is None else joints_of(pickenv.calibration.read_targets(at, robot.nominal), robot.nominal)
     rng = np.random.default_rng(seed)
-    prior = prior_model(
-        robot.name,
-        robot.nominal,
-        known=frames == "known",
-        fit=fit,
-        tolerances=tolerances or robot.tolerance_class,
-        scale=prior_scale,
-    )
+    registered, parts = frames == "known", tolerances or robot.tolerance_class
+    prior = prior_model(robot.name, robot.nominal, known=registered, fit=fit, tolerances=parts, scale=prior_scale)
     how: dict[str, Any] = {"criterion": criterion, "test_joints": test_joints, "curve": curve}
     how["candidates"], lines = candidates or 2000, None
     if pool is not None:
         how["candidates"], lines = pickenv.calibration.pool_of(pool, robot.nominal, columns if like is None else None)
     if like is not None:
-        if kind is not None or noise_mm is not None or frames == "known":
+        if kind is not None or noise_mm is not None or registered:
             raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
         first = pickenv.calibration.given_rows(pickenv.calibration.given_arm(robot, columns), like, columns)
         planned = plan_like(robot, first, n, rng, lines=lines, prior=prior if prior.proper else None, **how)
     else:
         how |= {"kind": kind or "pose", "position_std": POSITION_STD if noise_mm is None else noise_mm * 1e-3}
-        known = prior if prior.proper else prior.parameters
-        planned = pickenv.calibration.plan_poses(robot, known, n, rng, **how)
+        planned = pickenv.calibration.plan_poses(robot, prior if prior.proper else prior.parameters, n, rng, **how)
         if lines is not None:
             planned = replace(planned, lines=lines[planned.chosen])
     table = partial(planned.write_csv, prismatic=robot.nominal.prismatic)
@@ -393,13 +386,9 @@ def apply(
     robot = pickenv.load_arm(arm)
     loaded = pickenv.Calibration.load(calibration, robot, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
-    conditions = Conditions(
-        payload=None if payload_kg is None else np.array(payload_kg),
-        temperature=None if temperature_k is None else np.array(temperature_k),
-    )
-    commands = pickenv.calibration.apply_calibration(
-        loaded, robot, pickenv.calibration.read_targets(targets, robot.nominal), frame=frame, conditions=conditions
-    )
+    conditions = Conditions(*(None if value is None else np.array(value) for value in (payload_kg, temperature_k)))
+    goals = pickenv.calibration.read_targets(targets, robot.nominal)
+    commands = pickenv.calibration.apply_calibration(loaded, robot, goals, frame=frame, conditions=conditions)
     deliver([(out, commands.write_csv)], commands.report())
     if not commands.reached.all():
         raise typer.Exit(NOT_GOOD)
@@ -441,9 +430,8 @@ def export(
     """
     from pickenv.calibration.delivery.onto_files import mjcf_files
 
-    files = (
-        mjcf_files(out, sample) if onto is None and (kind == "mjcf" or (out.suffix == ".xml" and kind is None)) else out
-    )
+    new_mjcf = onto is None and (kind == "mjcf" or (out.suffix == ".xml" and kind is None))
+    files = mjcf_files(out, sample) if new_mjcf else out
     separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": files, "--json": json_file})
     robot = None if arm is None else pickenv.load_arm(arm, whole=True)
     loaded = pickenv.Calibration.load(calibration, robot, unit, whole=True)
@@ -503,13 +491,8 @@ def twin(
     plant = pickenv.calibration.twin(loaded, robot, data, name=path.stem, seed=seed)
     assert plant.posterior is not None
     posterior = plant.posterior
-    content: dict[str, Any] = {
-        "name": plant.name,
-        "arm": robot.name,
-        "parameters": posterior.factor.shape[1],
-        "not_identified": len(posterior.unseen),
-        "notes": list(posterior.notes),
-    }
-    head = f"{plant.name}: {content['parameters']} parameters of arm '{robot.name}' as found, "
-    lines = [f"{head}{content['not_identified']} that were not identified", *(f"  {note}" for note in posterior.notes)]
+    count, unseen, notes = posterior.factor.shape[1], len(posterior.unseen), list(posterior.notes)
+    content = {"name": plant.name, "arm": robot.name, "parameters": count, "not_identified": unseen, "notes": notes}
+    head = f"{plant.name}: {count} parameters of arm '{robot.name}' as found, {unseen} that were not identified"
+    lines = [head, *(f"  {note}" for note in notes)]
     deliver([(path, lambda file: pickenv.arm.write_twin(plant, file)), (json_file, content)], "\n".join(lines))

@@ -14,14 +14,13 @@ from typer import Option
 import pickenv
 from pickenv.base import InputError, count_of, locked, require, screen_width, separate, unseen_share
 from pickenv.commands import showing
-from pickenv.commands.showing import CommandOfNames, check_workers, deliver, print_table, progress_bars
 
 bench = typer.Typer(
     name="bench", help="Benchmarks: calibrations on measured robots, policies on simulated ones.", no_args_is_help=True
 )
 
 
-@bench.command(cls=CommandOfNames)
+@bench.command(cls=showing.CommandOfNames)
 def calibration(
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path = Path("runs/bench"),
@@ -61,24 +60,24 @@ def calibration(
     def show() -> None:
         if gains:
             cells, words = tables.gain_cells(gains, settings.folds), tables.GAIN_HEADS[:3]
-            print_table("Gains predicted and measured", tables.GAIN_HEADS, cells, words=words)
+            showing.print_table("Gains predicted and measured", tables.GAIN_HEADS, cells, words=words)
             print(tables.agreement_words(gains, settings))
         if len(models):
             cells, heads = tables.spread_cells(models), tables.SPREAD_HEADS
-            print_table("Geometry and the best model", heads, cells, words=heads, caption=tables.NOTE)
+            showing.print_table("Geometry and the best model", heads, cells, words=heads, caption=tables.NOTE)
         for name, reason in skipped.items():
             print(f"not made: {name}: {reason}")
 
     with locked(out), listed_files(out):
-        with progress_bars() as report:
+        with showing.progress_bars() as report:
             gains, models, skipped = run_bench(names, settings, data, out, workers=workers, progress=report)
         measured_gains = tables.blocked_json(gains, settings.folds, date.today().isoformat())
         files = [(out / name, text) for name, text in tables.csv_files(gains, models, settings.folds).items()]
         content = tables.bench_json(settings, gains, models, skipped)
-        deliver([*files, (blocked, measured_gains), (json_file, content)], show)
+        showing.deliver([*files, (blocked, measured_gains), (json_file, content)], show)
 
 
-@bench.command(cls=CommandOfNames)
+@bench.command(cls=showing.CommandOfNames)
 def policies(
     policy: list[str] | None = None,
     json_file: Annotated[Path | None, Option("--json")] = None,
@@ -121,7 +120,7 @@ def policies(
     from pickenv.inspect.colours import policy_label
     from pickenv.inspect.runs.run_folder import listed_files
 
-    check_workers(workers, executor != "serial", "joblib")
+    showing.check_workers(workers, executor != "serial", "joblib")
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
@@ -141,16 +140,16 @@ def policies(
     def show() -> None:
         heads, cells = policy_tables.leaderboard_summary(board)
         behind = policy_label(settings.compensations[-1])
-        print_table(f"Mean error (mm), raw / behind {behind}", heads, cells, words=heads[:2])
+        showing.print_table(f"Mean error (mm), raw / behind {behind}", heads, cells, words=heads[:2])
 
     with locked(out), listed_files(out):
-        with progress_bars() as report:
+        with showing.progress_bars() as report:
             backend = "loky" if executor == "joblib" else executor
             count = (0 if quick else 5) if trainings is None else trainings
             how: dict[str, Any] = {"backend": backend, "workers": workers, "progress": report}
             board = policy_tables.run_leaderboard(settings, out, count, learned or (), **how)
         own = "put a policy of yours beside them: the same command with --policy FILE"
-        deliver([(page, policy_tables.leaderboard_page(board)), (json_file, board)], show, own)
+        showing.deliver([(page, policy_tables.leaderboard_page(board)), (json_file, board)], show, own)
 
 
 SAMPLES = 2048
@@ -197,14 +196,11 @@ def experiment(
 
     folder = out or Path("runs") / file.stem
     separate({"FILE": file}, {"--out": folder / RECORD, "--json": json_file, "--table": table})
-    changes = dict(map(_change, change or []))
-    definition = load_experiment(file, quick=quick, seed=seed, changes=changes)
+    definition = load_experiment(file, quick=quick, seed=seed, changes=dict(map(_change, change or [])))
     if figures is not None and not (definition.figures or any(number.figure for number in definition.numbers)):
         raise InputError(f"{file} has no figures to write; leave --figures out, or name some in the file")
-    with showing.progress_bars() as report:
-        rows = pickenv.experiments.run(
-            definition.experiment, folder, backend=executor, workers=workers, progress=report
-        )
+    with showing.progress_bars() as bars:
+        rows = pickenv.experiments.run(definition.experiment, folder, backend=executor, workers=workers, progress=bars)
     tables = definition.estimates(rows)
     content = {
         "title": definition.title,
@@ -309,11 +305,9 @@ def study(
     settings, sobol_samples = full_study.quick() if quick else full_study, samples if sobol else 0
     settings = settings if seed is None else replace(settings, seed=seed)
     with locked(out):
+        how: dict[str, Any] = {"executor": executor, "workers": workers, "device": device}
         with showing.progress_bars("arms") as bars:
-            count = partial(bars, "arms")
-            summary = pickenv.experiments.run_study(
-                settings, out, executor=executor, workers=workers, device=device, progress=count
-            )
+            summary = pickenv.experiments.run_study(settings, out, **how, progress=partial(bars, "arms"))
 
         def written(folder: Path) -> list[Path]:  # the summary was written by the study, as its last file
             drawn = pickenv.experiments.write_outputs(folder, sobol_samples=sobol_samples) if report else []

@@ -54,8 +54,7 @@ def guarded(command: Callable[[], Any]) -> int:
             return _fault(error)
         return _end(BAD_INPUT, f"error: {missing(error.name)}")
     except KeyboardInterrupt:
-        words = "interrupted; files are written whole or not at all, so nothing is left half-written"
-        return _end(INTERRUPTED, words)
+        return _end(INTERRUPTED, "interrupted; files are written whole or not at all, so nothing is left half-written")
     except SystemExit as error:
         if isinstance(error.__context__, BrokenPipeError):  # rich ends so, without a word
             return _unheard(error.__context__)

@@ -99,8 +99,8 @@ def train(
         )
         raise
     last = done.evaluations[-1]
-    told = f"{training.algorithm} on {training.env_id}: {words_of(last)} after {last['steps']:.0f} steps"
-    deliver([(out, lambda _: written)], f"{told}, {done.steps_per_second:.0f} steps/s")
+    headline = f"{training.algorithm} on {training.env_id}: {words_of(last)} after {last['steps']:.0f} steps"
+    deliver([(out, lambda _: written)], f"{headline}, {done.steps_per_second:.0f} steps/s")
 
 
 def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out: Path) -> None:
@@ -134,11 +134,6 @@ def _refuse_class(option: str, plants: Sequence[str]) -> None:
     """
     if plants and all(pickenv.arm.class_of(name) is not None for name in plants):
         raise InputError(f"`{option}` changes nothing: plant '{plants[0]}' names its class itself; leave it out")
-
-
-def _is_told(plant: pickenv.Plant) -> bool:
-    """Return whether a plant is a twin without tolerances, because its calibration dropped no parameter."""
-    return plant.posterior is not None and not len(plant.posterior.unseen)
 
 
 def _was_given(context: typer.Context, name: str) -> bool:
@@ -226,7 +221,8 @@ def evaluate(
     if _was_given(context, "tolerances"):
         plants = [name for name in settings.plants if not name.startswith(RUNG)]
         _refuse_class("tolerances", plants)
-        if plants and all(_is_told(pickenv.load_plant(name)) for name in plants):
+        twins = (pickenv.load_plant(name).posterior for name in plants)
+        if plants and all(twin is not None and not len(twin.unseen) for twin in twins):
             raise InputError(
                 f"`tolerances` changes nothing: the calibration behind twin '{plants[0]}' tells all of its parameters, "
                 "with priors of its own class; leave it out"
@@ -238,10 +234,8 @@ def evaluate(
     require(*([] if out is None else ["pyarrow"]))
     long = workers is not None or any(models)  # else processes take longer to start than to work
     backend = "loky" if workers != 1 and long else "serial"
-    with progress_bars() as report:
-        rows = pickenv.experiments.run_policies(
-            settings, cache=cache, backend=backend, workers=workers, progress=report
-        )
+    with progress_bars() as bars:
+        rows = pickenv.experiments.run_policies(settings, cache=cache, backend=backend, workers=workers, progress=bars)
     content = tables.evaluation_content(settings, rows)
     deliver(
         [(json_file, content), (out, lambda folder: tables.write_evaluation(settings, rows, folder))],

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -132,14 +131,12 @@ def iso9283(
     More: commands.md
     """
     typed = dict(locals())
-    of_rows, of_both = ("arm", "columns", "frames", "details"), ("rows", "json_file")
-    usual = {name: parameter.default for name, parameter in signature(iso9283).parameters.items()}
-    options = [name for name, value in typed.items() if value not in (usual[name], [])]
-    stray = [name for name in options if name not in of_both and (name in of_rows) != (rows is not None)]
-    if stray:
-        other = "`rows`" if rows is None else "a simulated arm"
-        raise InputError(f"`{stray[0]}` goes with {other} only; leave it out{'' if rows is None else ', or `rows`'}")
-    if rows is not None:
+    of_rows = {"arm", "columns", "frames", "details"}
+    if rows is None:
+        showing.refuse_stray(iso9283, typed, of_rows, "`rows` only; leave it out")
+    else:
+        of_plants = typed.keys() - of_rows - {"rows", "json_file"}
+        showing.refuse_stray(iso9283, typed, of_plants, "a simulated arm only; leave it out, or `rows`")
         deliver_measured(rows, arm, columns, frames, details, json_file)
         return
     if allow and calibration is None:
@@ -155,16 +152,13 @@ def iso9283(
         {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},
     )
     machine = pickenv.load_plant(plant)
-    fitted = pickenv.Calibration.load(calibration, machine.arm) if calibration is not None else None
-    if fitted is not None:
+    settings = Iso9283Settings(cycles=cycles, pace=Pace(speed=speed, dwell=dwell))
+    corrected: dict[str, Any] = {}
+    if calibration is not None:
+        fitted = pickenv.Calibration.load(calibration, machine.arm)
         obey(fitted.reservations(), allow or ())
-    result = test(
-        machine,
-        fitted.compensator() if fitted is not None else None,
-        rng=np.random.default_rng(seed),
-        settings=Iso9283Settings(cycles=cycles, pace=Pace(speed=speed, dwell=dwell)),
-        reference=fitted.nominal if fitted is not None else None,
-    )
+        corrected = {"compensate": fitted.compensator(), "reference": fitted.nominal}
+    result = test(machine, rng=np.random.default_rng(seed), settings=settings, **corrected)
 
     def write_run(folder: Path) -> Path:
         with recorded_run(folder, "iso9283", showing.command_of(iso9283, typed), seed):
@@ -191,9 +185,8 @@ def deliver_measured(
     measured = read_measurements(rows, robot.nominal, columns, repeats=True)
     result = measured_iso9283(robot, measured if frames is None else replace(measured, frames=frames))
     more = "" if details else "every pose, and its drift"
-    next_step = (
-        f"for a smaller AP, poses to calibrate from: {command_line('pickenv', 'plan-poses', arm=arm, out='poses.csv')}"
-    )
+    plan = command_line("pickenv", "plan-poses", arm=arm, out="poses.csv")
+    next_step = f"for a smaller AP, poses to calibrate from: {plan}"
     showing.deliver([(json_file, result)], partial(show_measured, result, details), next_step, more)
 
 
@@ -211,17 +204,17 @@ def show_measured(result: dict[str, Any], details: bool) -> None:
     def cell(item: dict[str, Any], figure: str) -> str:
         return said(item[f"{figure}_mm"], item.get(f"{figure}_ci95_mm"), 3)
 
-    def worst(items: list[dict[str, Any]], figure: str) -> str:
-        item = max(items, key=lambda item: item[f"{figure}_mm"])
+    def worst(figure: str) -> str:
+        item = max(poses, key=lambda item: item[f"{figure}_mm"])
         return f"{cell(item, figure)} mm at {item['name']}"
 
     counts = [pose["cycles"] for pose in poses]
     cycles = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
-    accuracy = f"AP up to {worst(poses, 'accuracy')}" if poses[0]["accuracy_mm"] is not None else "AP unknown"
-    showing.print_verdict(f"Measured {accuracy}; RP up to {worst(poses, 'repeatability')}", width=NARROW)
+    accuracy = f"AP up to {worst('accuracy')}" if poses[0]["accuracy_mm"] is not None else "AP unknown"
+    showing.print_verdict(f"Measured {accuracy}; RP up to {worst('repeatability')}", width=NARROW)
     about = f"{result['rows']}: {len(poses)} poses of {result['arm']}, {cycles} cycles each; brackets: 95 % over cycles"
     for sentence in (about, *_reservations(result, min(counts))):
-        print("\n".join(folded(sentence, screen_width(NARROW))))
+        print(*folded(sentence, screen_width(NARROW)), sep="\n")
     heads, words = ["pose", "cycles", "AP (mm)", "RP (mm)"], ("pose",)
     lines = [[pose["name"], str(pose["cycles"]), cell(pose, "accuracy"), cell(pose, "repeatability")] for pose in poses]
     if "accuracy_deg" in poses[0]:
@@ -234,17 +227,13 @@ def show_measured(result: dict[str, Any], details: bool) -> None:
         return
     intervals = [ends for drift in drifts if (ends := drift["wander_ci95_mm"]) is not None]
     beyond = f"beyond chance at {sum(low > 0 for low, _ in intervals)} of {len(intervals)} poses"
+    chance = beyond if intervals else f"which needs {3 * LEAST} cycles to tell"
     largest = max(drift["wander_mm"] for drift in drifts)
-    print(
-        f"first to last third of the cycles: means moved by up to {largest:.3f} mm, "
-        + (beyond if intervals else f"which needs {3 * LEAST} cycles to tell")
-    )
+    print(f"first to last third of the cycles: means moved by up to {largest:.3f} mm, {chance}")
     if details:
         heads = ["pose", "cycles", "moved (mm)", "dAP (mm)", "dRP (mm)"]
         changes = ("wander", "accuracy_change", "repeatability_change")
-        lines = [
-            [drift["name"], f"2 × {drift['cycles']}", *(cell(drift, change) for change in changes)] for drift in drifts
-        ]
+        lines = [[d["name"], f"2 × {d['cycles']}", *(cell(d, change) for change in changes)] for d in drifts]
         showing.print_table("drift", heads, lines, words=words, width=NARROW)
 
 
@@ -323,11 +312,9 @@ def conditions(
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
     is_calibration = subject.endswith(".npz")
-    usual = {name: parameter.default for name, parameter in signature(conditions).parameters.items()}
-    of_other = ("arms", "tolerances", "residual") if is_calibration else ("plant", "allow")
-    if stray := [name for name in of_other if typed[name] not in (usual[name], [])]:
-        other = "a plant" if is_calibration else "a calibration (.npz)"
-        raise InputError(f"`{stray[0]}` goes with {other} as SUBJECT only; leave it out")
+    of_other = {"arms", "tolerances", "residual"} if is_calibration else {"plant", "allow"}
+    kind = "a plant" if is_calibration else "a calibration (.npz)"
+    showing.refuse_stray(conditions, typed, of_other, f"{kind} as SUBJECT only; leave it out")
     folder = [] if out is None else [out / RECORD, out / CONDITIONS]
     separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
     machine = pickenv.load_plant(plant if is_calibration else subject)

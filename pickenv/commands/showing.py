@@ -210,6 +210,20 @@ def arguments_for(taker: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in typed.items() if value not in (None, [])}
 
 
+def refuse_stray(command: Callable[..., None], values: Mapping[str, Any], stray: Collection[str], goes: str) -> None:
+    """Raise an error if an option that has no effect has another value than its default.
+
+    Args:
+        command: The function of the command.
+        values: Values of the command's parameters, by the name of the parameter.
+        stray: Names of the parameters that have no effect.
+        goes: What such a parameter goes with, and what to do, for the message.
+    """
+    for name, parameter in signature(command).parameters.items():
+        if name in stray and values[name] not in (parameter.default, []):
+            raise InputError(f"`{name}` goes with {goes}")
+
+
 def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:
     """Return an option's callback that refuses numbers outside the limits of ``quantity`` in `pickenv.base.LIMITS`."""
 

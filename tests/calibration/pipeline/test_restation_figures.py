@@ -225,7 +225,7 @@ def test_verdicts_and_what_is_said_of_them(
     found = Verification(
         "still good", "", constant(mine), constant(theirs), 2.0, 30, 0, {}, since, (), no_gain=gain, measured=0.25
     )
-    verdict = _verdict(found, lambda: cause)
+    verdict = _verdict(found, cause)
     assert verdict[0] == status and said in verdict[1]
 
 
@@ -244,12 +244,11 @@ def test_verdicts_and_what_is_said_of_them(
 )
 def test_since_when_is_the_first_block_from_which_on_all_are_large(blocks: list[float], said: int | None) -> None:
     """Forty rows of which four make a block; large is more than half as much again as what is expected there."""
-    rest = np.arange(2, 42)
     errors = np.column_stack([np.zeros((40, 2)), np.repeat(blocks, 4), np.full((40, 3), 7.0)])
     there = None if said is None else said - 1
-    assert _since(rest, errors, np.ones(40)) == there
-    assert _since(rest, 3.0 * errors, np.full(40, 9.0)) == there
-    assert _since(rest[:39], errors[:39], np.ones(39)) is None
+    assert _since(errors, np.ones(40)) == there
+    assert _since(3.0 * errors, np.full(40, 9.0)) == there
+    assert _since(errors[:39], np.ones(39)) is None
 
 
 @pytest.mark.parametrize("poses", [False, True], ids=["positions", "poses"])

@@ -106,7 +106,7 @@ def test_and_to_judge_residual_models(identified, rows, asked, monkeypatch):
         assert refit(data).geometry is not None
         return (verdict("gp"),)
 
-    monkeypatch.setattr(stages, "gate_residuals", judging)
+    monkeypatch.setattr(stages.residual_models, "gate_residuals", judging)
     draft = stages._learn(identified(rows))
     assert list(draft.fits) == ["geometry"] + ["geometry+gp"] * asked and bool(draft.gate) == asked
     if asked:
@@ -119,7 +119,7 @@ def test_and_to_judge_residual_models(identified, rows, asked, monkeypatch):
 
 
 def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, identified, monkeypatch):
-    monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: (verdict("rbf", accepted=False),))
+    monkeypatch.setattr(stages.residual_models, "gate_residuals", lambda *_, **__: (verdict("rbf", accepted=False),))
     named = replace(AUTO, residual="rbf")
     for choices, fits in (
         (named, ["geometry"]),
@@ -134,7 +134,7 @@ def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, identifi
 
 def test_residual_models_are_judged_on_3000_rows_at_most(sets, identified, monkeypatch):
     rows = []
-    monkeypatch.setattr(stages, "gate_residuals", lambda data, *_, **__: rows.append(data.joints[:, 0]))
+    monkeypatch.setattr(stages.residual_models, "gate_residuals", lambda data, *_, **__: rows.append(data.joints[:, 0]))
     draft = identified()
     many = sets[0].select(np.arange(3100) % 40)
     many = replace(many, joints=np.arange(3100.0)[:, None] * np.ones(6))
@@ -177,7 +177,7 @@ def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
     choice = ("gravity", {"none": 2e-3, "gravity": 1e-3}, (gravity(dynamic),))
     gate = (verdict("rbf"),)
     monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
-    monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: gate)
+    monkeypatch.setattr(stages.residual_models, "gate_residuals", lambda *_, **__: gate)
     left = (LeftOut("tracker.csv", 7, False, 5e-3, None, 9.0),)
     seen, learn = [], stages._learn
     monkeypatch.setattr(stages, "_learn", lambda draft: seen.append(replace(learn(draft), left_out=left)) or seen[0])

@@ -220,6 +220,7 @@ def test_positions_alone_leave_the_tools_attitude_where_it_stands():
     turned, wanted = (np.degrees(np.linalg.norm(error[..., 3:], axis=-1)) for error in (off, best))
     assert turned.max() < wanted.max() + 1.0
     assert "the rows say nothing of tool_rx, tool_ry, tool_rz" in " ".join(plant.posterior.notes)
+    assert plant.name == "ur5_twin"
 
 
 def test_arm_i_does_not_depend_on_how_many_are_drawn_nor_on_what_is_off():

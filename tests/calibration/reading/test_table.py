@@ -1,5 +1,6 @@
 """A measurement file is named as what it is: its separator, its encoding, the cell at fault, in one line."""
 
+import ast
 import os
 import sys
 import threading
@@ -170,9 +171,13 @@ def test_faults_of_yaml_are_one_sentence(file, case):
     assert said in message and len(message) < 400
 
 
-def test_equal_expressions_have_one_tree_and_broken_ones_none():
-    assert expression_tree("a +")[0] is None and expression_tree("a\0")[0] is None
-    assert expression_tree("`x [mm]` / 2")[1] == ["x [mm]"]
+def test_names_in_backticks_are_those_of_columns_and_broken_expressions_have_no_tree(file):
+    assert expression_tree("a +") is None and expression_tree("a\0") is None
+    assert [node.id for node in ast.walk(expression_tree("`x [mm]` / 2")) if isinstance(node, ast.Name)] == ["x [mm]"]
+    table = read_table(file("x [mm],a\n2,3\n"))
+    assert table.value("`x [mm]` / 2 + a * `x [mm]`").tolist() == [7.0]
+    with pytest.raises(InputError, match="column '__quoted_0' is missing"):
+        table.value("__quoted_0 + a")
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, np.nan, np.inf])
