@@ -1,7 +1,5 @@
 """Commands about policies: `pickenv train`, `pickenv evaluate` and `pickenv datasets`."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Sequence

@@ -7,8 +7,6 @@ multiplied by the size of the gap. So a behaviour learnt at decimetres also work
 NumPy and on torch.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from abc import ABC, abstractmethod
