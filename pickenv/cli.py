@@ -1,5 +1,7 @@
 """Run the command line `pickenv COMMAND`. Commands read options and print; other modules do the work."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Callable
 from dataclasses import replace

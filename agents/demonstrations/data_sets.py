@@ -8,6 +8,8 @@ Each data set is written to its folder completely or not at all. A card describe
 Data sets that exist are kept, so that an interrupted run can continue.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 import os

@@ -11,6 +11,8 @@ observes the last picks and weighs them by attention, depending on the joints of
 are stored as a few matrices in one file with a checksum, and run by NumPy. Nothing in the file is executed.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path

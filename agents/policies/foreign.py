@@ -4,6 +4,8 @@ All of these can execute code, so load only files that you trust. A policy file 
 nothing.
 """
 
+from __future__ import annotations
+
 import json
 import runpy
 import sys

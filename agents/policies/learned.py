@@ -1,5 +1,7 @@
 """Learned policies: an actor's weights in one file with a checksum, loaded without executing code and run by NumPy."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path

@@ -4,6 +4,8 @@ Policies take one observation ``(k,)`` or a batch ``(N, k)``, and return one act
 policy therefore drives a single environment or a native vector environment.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, Protocol
 

@@ -1,5 +1,7 @@
 """Policies without learning: scripted ones for the nominal arm, an oracle, visual servoing, and random actions."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Networks for stable-baselines3: SAC and TQC with scaled observations, and PPO with attention over past picks."""
 
+from __future__ import annotations
+
 from typing import Any, cast
 
 import numpy as np

@@ -4,6 +4,8 @@ The chi^2 test asks whether the model explains the residuals up to the stated no
 compared with 1. Units: mm and degrees in outputs, SI inside.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal

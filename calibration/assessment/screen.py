@@ -5,6 +5,8 @@ Both mean and RMS are printed, because an "RMSE" in a paper need not be the RMS 
 the mean cannot be the RMS of the norm.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import zip_longest

@@ -5,6 +5,8 @@ along the columns and y along the rows, m. OpenCV (extra ``pickenv[camera]``) is
 draw markers.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any

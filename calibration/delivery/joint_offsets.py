@@ -7,6 +7,8 @@ stated in mm. If base and tool were fitted, a part of the offsets has the same e
 This part is left to base and tool. For a revolute first joint it is the whole offset. SI units.
 """
 
+from __future__ import annotations
+
 import csv
 import io
 import json

@@ -7,6 +7,8 @@ Written against URDF as ROS 2 has it (https://wiki.ros.org/urdf/XML, version 1.0
 Lengths are in metres, rpy in radians about fixed axes.
 """
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Iterator, Mapping

@@ -5,6 +5,8 @@ If the errors of the other poses have a common cause, such as one column in anot
 Held-out rows pass the same checks. A set-up is one place of the instrument, and one place of its target on the tool.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -5,6 +5,8 @@ by the inverse kinematics. The joints are then corrected by Qiao 2026 eqs (13)-(
 is truncated to the task's rank. A learnt residual model, if there is one, is part of the correction. SI units.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -3,6 +3,8 @@
 This is the middle part of `calibrate`, for callers who need neither a check of the rows nor a verdict.
 """
 
+from __future__ import annotations
+
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

@@ -5,6 +5,8 @@ the tables of `Result.blocks`, and `Result.as_dict` holds the values for JSON. T
 its record. Units: mm and degrees in outputs, SI inside.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

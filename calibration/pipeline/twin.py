@@ -7,6 +7,8 @@ rows, since networks have no posterior. Errors that are no smooth function of th
 instrument's share of the scatter is subtracted, and the rest is attributed to the arm. SI units.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import itemgetter

@@ -6,6 +6,8 @@ the verdict names the cause: frames that moved, joint zeros that changed, a regi
 arm. mm and degrees in outputs, SI inside.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import partial

@@ -5,6 +5,8 @@ place and lens. The unknowns determine the instrument's readings at other joints
 there. The exchange of poses starts from the information that the first rows give. SI units.
 """
 
+from __future__ import annotations
+
 import time
 from dataclasses import replace
 

@@ -5,6 +5,8 @@ It names separator, decimal sign, units, conventions and uncertainties. One of i
 holds the descriptions that come with pickenv.
 """
 
+from __future__ import annotations
+
 import ast
 from collections.abc import Callable
 from dataclasses import KW_ONLY, make_dataclass

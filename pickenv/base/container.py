@@ -11,6 +11,8 @@ the seal is between the last page and the footer. Readers find the footer from t
 from the beginning.
 """
 
+from __future__ import annotations
+
 import hashlib
 import io
 import json

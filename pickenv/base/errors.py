@@ -7,6 +7,8 @@ A reservation is a named reason not to use a result, such as a calibration. `obe
 allows that reservation.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 

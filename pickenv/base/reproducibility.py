@@ -7,6 +7,8 @@ The module also limits linear algebra and torch to one thread. For small matrice
 they save, most of all on a busy machine.
 """
 
+from __future__ import annotations
+
 import hashlib
 import os
 import platform

@@ -1,5 +1,7 @@
 """Commands about files: `pickenv check` verifies them to the bit, `pickenv schema` prints what they may contain."""
 
+from __future__ import annotations
+
 import json
 import re
 import sys

@@ -1,5 +1,7 @@
 """Commands that compare policies and show finished runs: compare, film, inspect, figures and report."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill

@@ -1,5 +1,7 @@
 """Commands of a calibration: a board and poses before it, `calibrate`, and verify, apply, export, twin after it."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

@@ -4,6 +4,8 @@ Exit codes: 0 done, 2 bad input, 70 a fault of this program, 74 output cannot be
 three are as in sysexits.h and in shells.
 """
 
+from __future__ import annotations
+
 import errno
 import os
 import shlex

@@ -1,5 +1,7 @@
 """Commands about policies: `pickenv train`, `pickenv evaluate` and `pickenv datasets`."""
 
+from __future__ import annotations
+
 import shlex
 import sys
 from collections.abc import Sequence

@@ -5,6 +5,8 @@ held-out blocks of a grid, a network removes little or nothing of a measured arm
 simulated arm's errors. Units: m, rad; mm where names say so.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

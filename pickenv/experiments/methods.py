@@ -4,6 +4,8 @@
 such methods have short names: "ls_bpnn" adds the network of Qiao 2026, "best" a Gaussian process.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

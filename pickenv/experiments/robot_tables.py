@@ -1,5 +1,7 @@
 """Format the results of `pickenv bench calibration`: rows for programs (JSON), and tables for people."""
 
+from __future__ import annotations
+
 import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

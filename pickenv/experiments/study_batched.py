@@ -7,6 +7,8 @@ the arms for which undamped steps do not suffice. Joints, vectors and frames are
 over arms: ``(M, N)`` at M fruit and ``(P, N)`` at P poses, for N arms. SI units.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import cache, partial
 from operator import itemgetter

@@ -8,6 +8,8 @@ An attempt's outcome depends on Li's cup, position sensor and blade. A cup that 
 nearby then swings on its branch, a spring-pendulum, and part of the push remains. Units: m, rad, kg, s.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field

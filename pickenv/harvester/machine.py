@@ -6,6 +6,8 @@ left to right. Joints of the master are theta1, d2, d3; joints of a slave are d4
 Moves have trapezoidal speed profiles within limits of speed and acceleration (Fig. 9). Units: m, rad, s.
 """
 
+from __future__ import annotations
+
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from numbers import Real

@@ -5,6 +5,8 @@ The local search takes milliseconds. It includes the waiting time between excurs
 back) that must not overlap (`Work.conflict`). Plans leave out fruit that no arm reaches. Units: s.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Annotated

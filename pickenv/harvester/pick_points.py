@@ -10,6 +10,8 @@ follows the paper's "master moves much, slaves little". Of the points from which
 with the least motion of the slaves. Units: m, rad, kg.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path

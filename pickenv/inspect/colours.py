@@ -4,6 +4,8 @@ Policy colours are Okabe and Ito's, which people with colour vision deficiency c
 misses in red. RGB is in 0..255.
 """
 
+from __future__ import annotations
+
 import re
 import tomllib
 import zlib

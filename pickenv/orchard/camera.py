@@ -7,6 +7,8 @@ centroid of a partly hidden fruit is shifted to the visible side, by up to the f
 often if less of it is visible. Units: m, px, lx.
 """
 
+from __future__ import annotations
+
 from typing import Annotated
 
 import numpy as np

@@ -3,6 +3,8 @@
 Other input raises an `InputError`. The argument ``what`` is the name of the number or array in the error message.
 """
 
+from __future__ import annotations
+
 import re
 from typing import Any, TypeAlias, cast
 

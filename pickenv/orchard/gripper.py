@@ -4,6 +4,8 @@ The probability that a compliant hand takes a fruit falls gradually with misalig
 the tool has three parts: lateral (across the tool's axis), axial (along it) and an angle. Units: m, rad.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import is_dataclass

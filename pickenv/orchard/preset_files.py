@@ -3,6 +3,8 @@
 Files are in degrees and millimetres, as their keys say. Objects made from them are in radians and metres.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
 from pathlib import Path

@@ -11,6 +11,8 @@ is modelled as normal. The script `scripts/studies/measure_sight.py` makes the t
 z ahead. Units: m, px.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from typing import Annotated
 

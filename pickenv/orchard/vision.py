@@ -10,6 +10,8 @@ with gradient directions). Each circle is then fitted to sub-pixel edges. Only p
 around them, are matched in the right image. Touching fruit give several circles. Units: m, px. Needs scikit-image.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from typing import Annotated

@@ -5,6 +5,8 @@ faces are replaced for each picture, and a texture has one pixel with the colour
 behind everything.
 """
 
+from __future__ import annotations
+
 import atexit
 import os
 import sys

@@ -3,6 +3,8 @@
 This module depends on no environment and on no drawing library. World frame, z up. Units: m; px only on the picture.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Wrappers that put a calibration between policy and arm: its compensator corrects joint targets for the drives."""
 
+from __future__ import annotations
+
 from collections.abc import Collection, Sequence
 from typing import Any, SupportsFloat, TypeVar
 

@@ -1,5 +1,7 @@
 """Wrappers that rescale observations and actions; `pickenv.envs.shared.spaces` has the formulas."""
 
+from __future__ import annotations
+
 from typing import Any, SupportsFloat, cast
 
 import gymnasium as gym

@@ -5,6 +5,8 @@ believes. A plant (the true arm with its errors) or a geometry gives the tool's 
 never sees this pose. Units: m, rad.
 """
 
+from __future__ import annotations
+
 from importlib import import_module
 from typing import Any, SupportsFloat
 

@@ -7,6 +7,8 @@ between the tool's true and believed positions. Only these measurements at past 
 Units: m and rad.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, SupportsFloat

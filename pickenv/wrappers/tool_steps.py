@@ -6,6 +6,8 @@ size of the gap, as in `pickenv.wrappers.GapScaling`. All formulas use observati
 rad.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any
 

@@ -10,6 +10,8 @@ J^-1 of Qiao 2026 eq (15) does not exist, and the truncated pseudo-inverse takes
 separately. One radian has the weight of one metre unless said otherwise.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from types import ModuleType

@@ -5,6 +5,8 @@ of a calibrated arm is a file of another kind (`pickenv.arm.plant.populations`).
 without error ("ideal:ur5e"), or for an arm of a tolerance class ("coarse:ur5e").
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass, make_dataclass, replace

@@ -9,6 +9,8 @@ nominal arm's B_own and T_own. The arm's errors relative to its nominal geometry
 were measured relative to the aligned nominal geometry. Objects have m, rad, K, s.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace

@@ -1,5 +1,7 @@
 """`pickenv/Harvest-v0`: one policy moves a master arm and its slaves to pick a zone's fruit without a collision."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

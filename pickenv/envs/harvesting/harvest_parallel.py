@@ -4,6 +4,8 @@ The simulator is the same as in the Gymnasium environment. Each agent moves its 
 machine, followed by a one-hot vector that says which agent it is. All agents get the same reward.
 """
 
+from __future__ import annotations
+
 from copy import deepcopy
 from typing import Any, cast
 

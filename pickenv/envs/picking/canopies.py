@@ -4,6 +4,8 @@ The swing of the fruit in every period is computed on the whole array. A grasp o
 by its scene, which changes the same array. Units: m, rad, s.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -1,5 +1,7 @@
 """`pickenv/Pick-v0`: pick a canopy's fruit one after the other, in limited time, with an arm that is not exact."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -3,6 +3,8 @@
 `pickenv.envs.picking.pick_scene` simulates the fruit. Units: m, rad, s.
 """
 
+from __future__ import annotations
+
 import math
 from functools import lru_cache, reduce
 from operator import or_

@@ -6,6 +6,8 @@ position of its upper end. All random numbers are drawn at the start of an episo
 fruit and outcomes.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,5 +1,7 @@
 """The native vector version of `pickenv/Pick-v0`: many arms and canopies in one set of arrays."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any
 

@@ -4,6 +4,8 @@
 kind of array and compute the steps.
 """
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
 from copy import deepcopy
 from typing import Any, NamedTuple

@@ -4,6 +4,8 @@ Results equal `NumpyBatch`'s up to rounding. The first step traces the simulatio
 (`pickenv.arm.kinematics.machine_code`). Episodes begin on NumPy.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any
 

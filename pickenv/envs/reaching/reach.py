@@ -1,5 +1,7 @@
 """`pickenv/Reach-v0`: bring the tool to a fruit with an arm that differs slightly from its controller's model."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any
 

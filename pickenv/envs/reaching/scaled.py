@@ -1,5 +1,7 @@
 """`pickenv/ReachScaled-v0` and `pickenv/ReachTool-v0`: reaching with observations and actions scaled for learning."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -4,6 +4,8 @@ A step takes and returns tensors on any device, and does not wait for the device
 environments concerned. float64 agrees with NumPy within 1e-9; float32 keeps positions within 1 um.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from itertools import chain
 from typing import Any

@@ -1,5 +1,7 @@
 """Native vector environments of the reach tasks, which `gym.make_vec` makes."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from typing import Any

@@ -1,5 +1,7 @@
 """`pickenv/PickScene-v0`: pick a hanging fruit with contact and pictures, with an arm that is not exact."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice

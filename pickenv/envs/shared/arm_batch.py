@@ -1,5 +1,7 @@
 """The state of many arms, one array per number of the state, on any executor: the base class of every batch."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any

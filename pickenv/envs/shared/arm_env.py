@@ -1,5 +1,7 @@
 """Base classes of single environments: rendering, and one arm with its task, true arm and compensator."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 

@@ -1,5 +1,7 @@
 """`simulation.look` for one arm as machine code, which replaces most of a step's work on Python floats."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable
 from operator import add, itemgetter, mul
 from typing import Any, cast

@@ -18,6 +18,8 @@ without leaves that the circle detector located (table li2016_bare-circles; 0.4,
 simulated; a real camera had an RMSE of 6 mm and a bias of 17 mm (Neupane et al. 2021).
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 from pickenv.base import InputError, seed_words, stream

@@ -1,5 +1,7 @@
 """Base class of the native vector environments: seeds, masks, the three autoreset modes, infos and pictures."""
 
+from __future__ import annotations
+
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any

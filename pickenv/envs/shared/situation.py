@@ -5,6 +5,8 @@ float, array or tensor for each number of a vector), like those of `pickenv.envs
 their defaults cost no time and change no bit of the results. Units: s, rad, m.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property

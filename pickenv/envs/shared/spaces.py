@@ -7,6 +7,8 @@ multiplied by the size of the gap. So a behaviour learnt at decimetres also work
 NumPy and on torch.
 """
 
+from __future__ import annotations
+
 import copy
 import math
 from abc import ABC, abstractmethod

@@ -3,6 +3,8 @@
 Each function returns a matplotlib figure.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 

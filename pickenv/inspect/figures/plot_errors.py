@@ -5,6 +5,8 @@ size. On pictures of a board, an arrow points from the predicted to the detected
 longer than true by a factor, which each figure states. Their colour shows the true length. Units: m, mm, px.
 """
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -4,6 +4,8 @@ Estimates are drawn as whiskers side by side, or as lines with bands along a var
 matplotlib figure. Most of them take plain arrays.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,5 +1,7 @@
 """Lists of a run's figures, each with a caption; a figure that cannot be drawn has the reason in its place."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -4,6 +4,8 @@ The main time line is `reach`, the index of the reach. Curves of errors over a d
 `hours`. The errors of a calibration or an evaluation are first made into a comparison.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -8,6 +8,8 @@ show the last episode. `sim_time` joins all episodes, with a gap before each. `s
 each episode ended.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -3,6 +3,8 @@
 The time line is `sim_time`, the time in the zone, s. Units: m in space, mm on plots.
 """
 
+from __future__ import annotations
+
 from itertools import combinations
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """Wrappers that log episodes for the Rerun viewer, as `gymnasium.wrappers.RecordVideo` films them."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, SupportsFloat, TypeVar

@@ -3,6 +3,8 @@
 Units: m in space; mm and degrees on plots, as their titles say.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,7 @@
 """Figures and page of a comparison of policies: which is better, by how much and where, and whether picks change."""
 
+from __future__ import annotations
+
 from functools import partial
 
 from pickenv.base import count_of

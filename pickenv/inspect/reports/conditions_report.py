@@ -1,5 +1,7 @@
 """Figure and page of a study of payload, temperature and hour of day."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any
 

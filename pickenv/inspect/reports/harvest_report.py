@@ -1,5 +1,7 @@
 """Figures and page of a comparison of harvesting strategies."""
 
+from __future__ import annotations
+
 from pickenv.base import count_of
 from pickenv.base.intervals import LEAST
 from pickenv.harvester import Measure

@@ -1,5 +1,7 @@
 """Figures and page of an accuracy test according to ISO 9283."""
 
+from __future__ import annotations
+
 from typing import Any
 
 from pickenv.inspect.colours import in_words, said

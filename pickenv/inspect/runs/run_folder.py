@@ -9,6 +9,8 @@ these classes: the class that the caller names, its subclasses, registered effec
 these classes.
 """
 
+from __future__ import annotations
+
 import json
 import os
 import shlex

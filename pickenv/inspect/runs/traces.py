@@ -1,5 +1,7 @@
 """Traces of a calibration and of a harvester's run: the data behind their figures and reports. Units: m, s."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 
