@@ -336,8 +336,8 @@ One operator, number, condition or option is changed in a function that is drawn
 package is as likely as any other. {{counts}} make no difference; of the other {{counted}} the tests notice {{killed}},
 **{{share}}
 
-A change is tried against the tests that run its line, nearest first, as many as take {BUDGET:.0f} s. Others might
-notice more. Tests written for a survivor afterwards do not raise the share: only another sample does.{{earlier}}
+A change is tried against the tests of `make test` that run its line, nearest first, as many as take {BUDGET:.0f} s.
+Others might notice more. Tests written for a survivor afterwards do not raise the share: only another sample does.{{earlier}}
 
 What survived:
 
