@@ -35,8 +35,8 @@ NEAR = 5.0
 """The Jacobian is reused after a step below this many uncertainties, if steps also shrink tenfold each time."""
 
 REDUNDANCY_TOLERANCE = 1e-3
-"""A parameter is redundant if the part of its scaled column that earlier columns do not explain is small: its norm is
-below this share of the largest norm."""
+"""Share of the largest column norm. A parameter is redundant if earlier columns explain all of its scaled column but a
+part whose norm is below this share."""
 
 BLOCK = 1600
 """Number of equations that `triangle` reduces at a time; so many fit into the processor's cache."""
@@ -328,8 +328,14 @@ def _jacobian(
 ) -> Array:
     """Return the stacked, whitened Jacobian ``(E, own + P)`` of several data sets.
 
-    Columns of the data sets' own unknowns come first, then those of the P parameters in ``model``. Each column is
-    multiplied by its entry in ``tolerance`` ``(own + P,)``. The Jacobian is taken at ``arm`` and ``unknowns``.
+    The columns of the data sets' own unknowns come first, then the columns of the P parameters.
+
+    Args:
+        model: The parameters.
+        sets: The data sets.
+        arm: The arm at which the Jacobian is taken.
+        unknowns: Values of each data set's own unknowns at which the Jacobian is taken.
+        tolerance: Factor on each column ``(own + P,)``.
     """
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
     jacobian = np.zeros((len(tolerance), sum(len(by_arm) for by_arm, _ in parts))).T
@@ -343,9 +349,13 @@ def _jacobian(
 
 
 def _solve(matrix: Array, right: Array, damping: float) -> Array:
-    """Compute the least-squares solution ``(K,)`` of ``matrix`` x = ``right`` by QR.
+    """Compute the damped least-squares solution ``(K,)`` of linear equations by QR.
 
-    Levenberg's ridge is added to the matrix: the square root of ``damping`` times the columns' RMS norm.
+    Args:
+        matrix: Matrix of the equations ``(rows, K)``.
+        right: Right-hand side ``(rows,)``.
+        damping: Levenberg's damping, 0 for none. Each unknown gets one more equation, which pulls it towards zero with
+            the weight sqrt(damping) times the RMS norm of the columns.
     """
     if damping:
         ridge = np.sqrt(damping) * np.linalg.norm(matrix) / np.sqrt(matrix.shape[1])
@@ -395,10 +405,18 @@ def _covariance(matrix: Array, scale: Array, variance: float) -> Array:
 def _enough_poses(
     model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
-    """Refuse data sets with fewer equations than parameters that such data identify at random poses.
+    """Refuse data sets with too few equations for the parameters that such data identify at random poses.
 
-    ``rank`` is the number of parameters that the data identify at their own poses, ``rows`` the number of equations,
-    and ``unknowns`` the values of each data set's own unknowns.
+    Args:
+        model: The parameters.
+        arm: The arm before the fit.
+        sets: The data sets.
+        unknowns: Values of each data set's own unknowns.
+        rank: Number of parameters that the data identify at their own poses.
+        rows: Number of equations.
+
+    Raises:
+        InputError: If there are too few equations.
     """
     if rows >= 2 * (len(model.names) + sum(len(values) for values in unknowns)):
         return  # whatever the rank elsewhere, there are enough
@@ -549,7 +567,7 @@ def identifiable_parameters(
 
 
 def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, dict[str, float]]:
-    """Return the longest length that ``visible`` keeps, with deviations of the other lengths that have the same effect.
+    """Return the longest length that ``visible`` keeps, and a change of the other kept lengths with the same effect.
 
     The dictionary is like `Identifiability.dropped`. It is empty if ``visible`` keeps no length.
     """

@@ -123,15 +123,16 @@ def averaged_over_scales(
     Args:
         model: The model, with the scales of the solution.
         solution: The solution at which the model is linearised.
-        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``: those with respect to the
-            measurements' own unknowns come first, those with respect to the P parameters last.
+        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``. The columns of the measurements' own
+            unknowns come first, then the columns of the P parameters.
         residual: Whitened residuals at the solution ``(E,)``.
         free: Names of the groups, some of `MADE`, whose scales are averaged over.
 
     Returns:
         The geometric mean of the scales by group, and a function. The function returns the solution at the averaged
-        posterior's mean, with its covariance. Its argument is the factor on variances of rows that carry less
-        information than independent ones (`pickenv.calibration.model.noise_and_priors.RowNoise.common`).
+        posterior's mean, with the posterior's covariance. The function's argument is the factor on variances of rows
+        that carry less information than independent ones
+        (`pickenv.calibration.model.noise_and_priors.RowNoise.common`).
     """
     count, base = columns.shape[1] - len(model.std), solution.identifiability.kept
     scale = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
@@ -158,7 +159,7 @@ def averaged_over_scales(
         std = np.maximum(np.sqrt(weight @ (logs - mean) ** 2), NARROWEST * std)
 
     def averaged(common: float) -> Identification:
-        """Return the solution at the posterior's mean over all scales, with its covariance.
+        """Return the solution at the posterior's mean over all scales, with the posterior's covariance.
 
         ``common`` is the factor on variances of rows that carry less information than independent ones.
         """
@@ -189,8 +190,8 @@ def averaged_over_scales(
 def covariance_at(found: Identification, data: Observations, share: float) -> Array:
     """Compute the covariance of the kept parameters for rows with a smaller scatter about the arm than in the fit.
 
-    It is the covariance beside a learnt residual. The residual removes the part that errors have in common. The errors
-    that remain are smaller, and rows then count as independent.
+    This is the covariance if a learnt residual is added to the arm. The residual removes the part of the errors that
+    neighbouring rows have in common. The remaining errors are smaller, and rows then count as independent.
 
     Args:
         found: The identification.

@@ -190,7 +190,7 @@ ROWS_EACH = 8
 """Number of rows needed for each harmonic."""
 
 WITHIN = 0.03
-"""The fewest harmonics are taken whose error on held-out blocks exceeds the least error by at most this share."""
+"""Share by which the error on held-out blocks may exceed the least error, so that fewer harmonics are taken."""
 
 Harmonic = tuple[int, float, float | None, float, float]
 """An identified harmonic of a joint's drive: joint, order, uncertainty of the order, amplitude, uncertainty of the
@@ -225,7 +225,7 @@ def every_order(geometry: Geometry) -> PeriodicTerm:
 
 
 def nearby(wave: PeriodicTerm) -> PeriodicTerm:
-    """Return a term of the harmonics on a finer grid around those of ``wave``, without repetitions."""
+    """Return a term of the harmonics on a finer grid around the harmonics of ``wave``, without repetitions."""
     around = zip(wave.joints, wave.orders, strict=True)
     return _harmonics(sorted({(joint, round(order + FINE * k, 6)) for joint, order in around for k in range(-2, 3)}))
 
@@ -277,16 +277,19 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
 
 
 def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tuple[list[Places], Places]:
-    """Return column indices of the chosen harmonics, for each block of rows held out and for all blocks together.
+    """Choose harmonics: once without each block of rows, and once on all blocks.
 
     For each block held out, harmonics are chosen one after the other on all other blocks, and judged on this block. The
-    number of harmonics is the smallest one whose error exceeds the least error by at most the share `WITHIN`. Indices
-    are empty if no harmonic reduces the error.
+    number of harmonics is the smallest one whose error exceeds the least error by at most the share `WITHIN`.
 
     Args:
         equations: Normal equations of geometry, other terms and every candidate harmonic.
         base: Indices, from 0, of the columns that are always included.
         candidates: Indices, from 0, of the sine and cosine columns of each candidate ``(M, 2)``.
+
+    Returns:
+        Indices, from 0, of the columns of the chosen harmonics: a list with an array for each block held out, then an
+        array for all blocks. All arrays are empty if no harmonic reduces the error.
     """
     of_each, right_of_each, squares_of_each = equations.normal
     most = min(MOST, sum(len(block.joints) for block in equations.blocks) // ROWS_EACH, len(candidates))
@@ -483,7 +486,7 @@ class _Trial:
         names: Names of the terms.
         equations: Normal equations of geometry and terms by block.
         counts: Weights of each block's rows ``(N,)``, smaller for rows of a cluster, because their errors are alike.
-        harmonics: Results of `chosen_orders`, by the names of the terms taken together.
+        harmonics: Results of `chosen_orders`, by the names of the terms taken together; `places` adds them.
     """
 
     bare: Identification
@@ -513,7 +516,8 @@ class _Trial:
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
         """Return indices, from 0, of the parameters that are fitted with the terms ``names``.
 
-        They are given for each block of rows left out, and then for all blocks together.
+        Returns:
+            A list with the indices for each block of rows left out, then the indices for all blocks together.
         """
         model = self.equations
         others = [model.coefficients_of(self.names.index(name)) for name in names if name != "periodic"]
@@ -527,7 +531,10 @@ class _Trial:
         return [np.r_[base, path] for path in paths], np.r_[base, on_all]
 
     def score(self, names: tuple[str, ...]) -> float:
-        """Compute the RMS miss, m, with the named terms over all blocks; each is predicted by a fit to the others."""
+        """Compute the RMS miss, m, over all blocks with the named terms.
+
+        The misses of each block come from a fit to all other blocks.
+        """
         squares, counts = 0.0, 0.0
         for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
             missed = self.equations.misses(block, solved(*self.equations.without(number), places))

@@ -126,7 +126,10 @@ class Measurements(Observations):
         return self.difference(model)[:, :3]
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Return row (index from 0) and channel of each equation ``(E,)``; positions are channel 0, attitudes 1."""
+        """Return the row (index from 0) and the channel of each equation, both ``(E,)``.
+
+        Positions are channel 0, and attitudes channel 1.
+        """
         channels = np.repeat([0, 1], 3)[: self.rows_per_pose]
         return np.repeat(np.arange(len(self)), self.rows_per_pose), np.tile(channels, len(self))
 
@@ -458,7 +461,7 @@ class Stacked(Observations):
         return np.concatenate([part.rows_of_misses + first for part, first in rows])
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Return the indices, from 0, of row and channel of each equation ``(E,)``; no two stations share a channel."""
+        """Return the row and the channel of each equation, both indices from 0 ``(E,)``; stations share no channel."""
         parts = [part.equations() for part in self.parts]
         rows = [np.where(row >= 0, row + first, -1) for (row, _), first in zip(parts, self._first_rows(), strict=True)]
         return np.concatenate(rows), _numbered([channels for _, channels in parts])
@@ -525,10 +528,13 @@ class Stacked(Observations):
         return replace(self, stations=tuple(replace(self.stations[i], data=data[i]) for i in used))
 
     def weighed(self, scales: Array) -> Self:
-        """Return the data set with each station's ``scale`` multiplied by its scatter, relative to the first station's.
+        """Return the data set with its stations weighed by their scatter, relative to the first station.
+
+        A station's scatter is the scatter of its first channel. Each station's ``scale`` is multiplied by the station's
+        scatter, and divided by the first station's scatter.
 
         Args:
-            scales: Scatter of each channel ``(C,)``, that is of the readings of one instrument in one unit.
+            scales: Scatter of each channel ``(C,)``. A channel holds readings of one unit and one uncertainty.
         """
         factors = scales[self._first_channels()].tolist()
         stations = zip(self.stations, factors, strict=True)

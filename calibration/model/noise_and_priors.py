@@ -59,7 +59,7 @@ WORTH = 3.0
 """Log-likelihood ratio above which neighbours count as having like errors."""
 
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
-"""Largest numbers of equally spaced rows, for the fit of length and share, and to search for neighbours."""
+"""Largest number of equally spaced rows in the fit of length and share, and in the search for neighbours."""
 
 LEAST_SPARE = 0.05
 """Least share of an equation that counts as a degree of freedom of the scatter, however large its leverage is."""
@@ -79,7 +79,7 @@ class RowNoise:
         shared: One entry per row whose m equations share the error of one pose. An entry has the indices, from 0, of
             these equations, orthonormal directions of the shared error in the equations' space ``(m, 6)``, and the
             share of each direction that whitening removes ``(6,)``.
-        pose_std: Standard deviation of that shared error per axis: position, m, and attitude, rad.
+        pose_std: Standard deviation of the shared pose error per axis: position, m, and attitude, rad.
     """
 
     scatter: Array
@@ -219,10 +219,17 @@ def _of_pictures(
 ) -> RowNoise:
     """Estimate the noise of each channel, and the pose error common to a row's equations, if rows have many equations.
 
-    For each of the E equations, ``tool`` has the derivatives with respect to the tool's pose ``(E, 6)``, ``residual``
-    the whitened residual, ``rows`` and ``channels`` the indices of row and channel, ``leverage`` the leverage, and
-    ``many`` whether the row has more than `POSE` equations. The standard deviations of equations, ``scatter`` ``(E,)``,
-    and of channels, ``sizes`` ``(C,)``, are changed in place.
+    The function changes ``scatter`` and ``sizes`` in place.
+
+    Args:
+        tool: Whitened derivatives of each equation with respect to the tool's pose ``(E, 6)``.
+        residual: Whitened residual of each equation ``(E,)``.
+        rows: Index, from 0, of each equation's row ``(E,)``; -1 for an equation without a row.
+        channels: Index, from 0, of each equation's channel ``(E,)``.
+        many: Whether each equation's row has more than `POSE` equations ``(E,)``.
+        leverage: Leverage of each equation ``(E,)``, 0 to 1.
+        scatter: Standard deviation of each equation ``(E,)``, in stated standard uncertainties.
+        sizes: Standard deviation of each channel ``(C,)``, in stated standard uncertainties.
     """
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
     channel = np.array([channels[at[0]] for at in places])
@@ -264,7 +271,7 @@ FRAME_STD = 10.0
 """Standard deviation of a frame's coordinates about its aligned pose, m and rad: too wide to carry information."""
 
 TOLD = 0.1
-"""Limit up to which the rows determine a parameter of base or tool, as a share of `FRAME_STD`."""
+"""Largest standard deviation of a base or tool parameter that the rows determine, as a share of `FRAME_STD`."""
 
 ANY_STIFFNESS = 100.0
 """Prior standard deviation of a compliance, in tolerances: any stiffness above 100 N*m/rad or 1 kN/m is plausible."""
@@ -414,7 +421,8 @@ def prior_model(
 def expected_sizes(model: ArmModel) -> Array:
     """Return prior standard deviations of the terms' coefficients ``(k,)``, as multiples of their tolerances.
 
-    They are 1, which is 1 mm or 1 mrad at the tool, but `ANY_STIFFNESS` for compliances.
+    The multiple is `ANY_STIFFNESS` for compliances. For all other coefficients it is 1, which moves the tool by about
+    1 mm or turns it by about 1 mrad.
     """
     sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else 1.0 for term in model.terms]
     return np.repeat(sizes, [len(term.names(model.geometry)) for term in model.terms])
@@ -424,7 +432,8 @@ def never_told(names: Sequence[str], covariance: Array) -> list[str]:
     """Return the names of base and tool parameters that the rows of a fit do not determine.
 
     An example is the tool's attitude if only positions were measured. The posterior of such a parameter is as wide as
-    its prior: metres, or turns. It is narrower if an unknown of the data, such as a wire's hook, shares the prior.
+    its prior: metres, or turns. The posterior is somewhat narrower than the prior if an unknown of the data, such as a
+    wire's hook, has the same effect as the parameter.
 
     Args:
         names: Names of the identified parameters, p of them.

@@ -72,8 +72,8 @@ def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.rand
     """Draw joints within their limits at which the instrument can read something.
 
     Half of the trials are drawn from the joint ranges. The other half are drawn near joints at which the instrument is
-    known to read something, because a board is seen from few poses. Known joints are those of measured rows, and later
-    also those found here.
+    known to read something, because a board is seen from few poses. At first these are the joints of the measured rows.
+    Every round adds the joints that it finds.
 
     Args:
         geometry: The nominal arm.
@@ -103,7 +103,7 @@ def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.rand
 def measurable(
     first: First, joints: Array, geometry: Geometry, *, move: bool = True
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Move joints to values at which the instrument can read something, and mark those at which it can.
+    """Move joints to values at which the instrument can read something, and mark the joints for which this succeeds.
 
     Args:
         first: The instrument, from `first_rows`.
@@ -268,8 +268,13 @@ def plan_like(
 def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel | None) -> plan.Design:
     """Return the design of the candidates, with the information of the first rows and of the priors as known.
 
-    The design covers all parameters if they have priors, else a largest subset of identifiable ones. ``first`` is the
-    instrument (`first_rows`), and ``joints`` are the candidates ``(N, n)``, rad or m.
+    The design covers all parameters if they have priors, else a largest subset of identifiable ones.
+
+    Args:
+        geometry: The nominal arm.
+        first: The instrument, from `first_rows`.
+        joints: The candidates ``(N, n)``, rad or m.
+        prior: The arm's parameters with their priors, or None.
     """
     data, there, unknowns = first
     count = len(unknowns)

@@ -237,7 +237,7 @@ class PosePlan:
         random_travel_seconds: Time of the moves in random order, mean of 20 orders, s.
         predicted_error: RMS position error to expect from the parameters' uncertainty, m; None if there are neither
             test poses nor priors nor rows measured before the plan.
-        random_predicted_error: The error to expect from as many poses drawn at random, median of 20 sets, m; or None.
+        random_predicted_error: The same error for as many poses drawn at random, median of 20 sets, m; or None.
         where: The poses at which these errors are predicted, in words.
         passes: Number of rounds of exchange.
         model: Observability of the parameters that the plan is to determine, and the same for as many random poses (for

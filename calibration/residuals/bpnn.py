@@ -119,8 +119,8 @@ class Bpnn:
     def predict(self, joints: ArrayLike) -> Array:
         """Predict the residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
 
-        Many poses go through the network in blocks of `ROWS`. Machine code gives bitwise the same result for a pose
-        that is predicted alone as among other poses.
+        Many poses go through the network in blocks of `ROWS`. Machine code gives a pose bitwise the same result alone
+        and among other poses.
         """
         if self._code is not None:
             inputs = np.asarray(joints, dtype=float)

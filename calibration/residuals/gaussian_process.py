@@ -317,8 +317,11 @@ def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: 
 def _search(start: Array, inputs: Array, target: Array, precision: float) -> tuple[Array, float]:
     """Return the optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there.
 
-    The start and the two other arrays are those of `negative_log_likelihood`. The search ends when a step improves the
-    value by less than the share ``precision``.
+    Args:
+        start: Logarithms of amplitude, F length scales and noise, ``(F + 2,)``.
+        inputs: Standardised inputs ``(M, F)``.
+        target: One output ``(M,)``, standardised.
+        precision: Share by which a step must improve the value for the search to go on.
     """
     from scipy.optimize import fmin_l_bfgs_b
 

@@ -8,8 +8,7 @@ positions (3).
 The gate accepts a residual only if it reduces the error on contiguous blocks of held-out rows. A random split flatters
 models that interpolate between neighbouring poses. The verdicts come from blocks of rows that are held out of all
 training. The choice among models comes from blocks of the training rows, so that the held-out blocks remain a fair
-test.
-Rows of a cluster have similar errors, so each of them has a smaller weight.
+test. Rows of a cluster have similar errors, so each of them has a smaller weight.
 """
 
 from __future__ import annotations
@@ -198,7 +197,8 @@ AUTO = ("bpnn", "rbf", "gp")
 """Models that are tried by default. The list is fixed, so that other installed packages do not change the results."""
 
 SLOW = ("bpnn",)
-"""Models that take seconds to fit, tried last, and beside others only if one of them gains on the held-out blocks."""
+"""Models that take seconds to fit. They are tried last. If other models are tried too, slow models are tried only if
+one of the others gains on the held-out blocks."""
 
 Refit = Callable[[Measurements], Geometry | ArmModel]
 """Function that identifies the arm from training rows alone, or returns an arm identified from other data."""
@@ -330,8 +330,8 @@ def _attitude_rms(residuals: Array, counts: Array) -> float | None:
 
 
 Trial = tuple[Measurements, Measurements, Array, Array, Array]
-"""One split: training rows, held-out rows, residuals of the training rows and of the held-out rows under the arm that
-was identified from the training rows, and weights of the held-out rows."""
+"""One split, in five parts: training rows, held-out rows, training residuals, held-out residuals, and weights of the
+held-out rows. Residuals are relative to the arm that was identified from the training rows."""
 
 
 def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:
@@ -362,9 +362,11 @@ def _verdict(
 ) -> GateVerdict:
     """Return a model's verdict, completed with errors, acceptance and reason.
 
-    ``left_by`` fits the model on a split and returns the held-out residuals that remain. ``blocked`` is the split with
-    held-out blocks. ``inner`` returns the splits within the training rows; it is called only if the model wins on
-    ``blocked``.
+    Args:
+        verdict: The verdict with the model's name, and with the errors on the held-out blocks without the residual.
+        left_by: Function that fits the model on a split and returns the held-out residuals that remain.
+        blocked: The split with held-out blocks.
+        inner: Function that returns the splits within the training rows; called only if the model wins on ``blocked``.
     """
     *_, untouched, counts = blocked
     try:
