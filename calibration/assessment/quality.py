@@ -350,7 +350,7 @@ class Quality:
 
     @property
     def others(self) -> tuple[tuple[Weight, str], ...]:
-        """All findings except the one that is `reason`."""
+        """All findings except the finding that is `reason`."""
         return tuple((weight, text) for weight, text in self.findings if text != self.reason)
 
     def as_dict(self) -> dict[str, Any]:
@@ -437,7 +437,7 @@ def _rms(errors: Array, unit: str) -> float:
 def no_gain(
     before: Array | None, after: Array, blocks: Rows | None, unit: str, count: int, called: str, because: str = ""
 ) -> Iterator[str]:
-    """Yield the reasons why held-out rows do not show that the calibrated arm is better than the nominal one.
+    """Yield the reasons why held-out rows do not show that the calibrated arm is better than the nominal arm.
 
     Args:
         before: Errors of the nominal arm ``(M, k)``, m or rad; None if there is no nominal arm. If k is larger than 3,

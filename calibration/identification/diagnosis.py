@@ -242,7 +242,7 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
 
     Args:
         listed: The outliers, and other rows left out.
-        rows: Count of all rows, those left out among them.
+        rows: Count of all rows, including the rows left out.
     """
     far = [item for item in listed if item.sigma is not None]
     if not far:
@@ -410,7 +410,10 @@ def mixed_unit(arm: Arm, sigma: Callable[[Measurements], Array], measurements: M
 
 
 def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]]:
-    """Yield copies of the rows with one column read in another unit, each with words that name column and unit."""
+    """Yield copies of the rows in which one column is read in another unit.
+
+    Each copy comes after words that name the column and the unit.
+    """
     length, angle = ("mm", "m", 1e-3), ("deg", "rad", np.pi / 180)
     values = {"joints": data.joints, "position": data.position}
     columns = [

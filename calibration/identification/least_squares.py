@@ -138,7 +138,7 @@ def unknowns_of(found: Identification, observations: Observations) -> Array:
 
 
 def is_angle(name: str) -> bool:
-    """Return whether a parameter's name is that of an angle."""
+    """Return whether a parameter is an angle, by its name."""
     return name.startswith(("alpha", "theta", "beta")) or name.partition("_")[2].startswith("r")
 
 
@@ -443,7 +443,7 @@ def _enough_poses(
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """The parameters that are identifiable and those that are not: the result of `identifiability`.
+    """The result of `identifiability`: which parameters are identifiable, and which are not.
 
     Attributes:
         names: All parameters, in order.
@@ -452,7 +452,7 @@ class Identifiability:
             rad. Together they have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. The
             dictionary is empty if the dropped parameter has no effect on the measurements.
         r_diagonal: Absolute diagonal ``(P,)`` of R in the QR decomposition of the Jacobian (Qiao 2026 eq (9)), one
-            number for each parameter. The Jacobian is that of all rows, with scaled columns. The number is about 0 for
+            number for each parameter. The Jacobian is of all rows, with scaled columns. The number is about 0 for
             a dropped parameter. Divided by the mean, it is the paper's ratio phi (eq (10)).
         singular_values: Singular values ``(K,)`` of the same Jacobian with the columns of the kept parameters alone,
             divided by the square root of the number of poses.
@@ -487,7 +487,7 @@ def identifiability(
 
     Args:
         matrix: Stacked Jacobian ``(rows, P)``, rows weighted, columns scaled by ``tolerance``.
-        names: Names of the parameters; of redundant parameters, earlier ones are kept.
+        names: Names of the parameters. If parameters are redundant, the earlier parameters are kept.
         tolerance: Scale of each parameter ``(P,)``, m or rad.
         poses: Number of poses that the rows come from.
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.

@@ -1,9 +1,9 @@
 """Robust identification from any start: alignment, re-weighted least squares, and grouping of files by set-up.
 
-Each row gets one weight from a Cauchy loss of its error in robust standard deviations. These come from medians, so that
-nearly half of the rows may be wrong (Holland and Welsch 1977). Readings of one instrument in one unit are a channel.
-Every channel has a separate scale, because units and instruments differ. A set-up is one place of the instrument, and
-one place of its target on the tool. SI units.
+Each row gets one weight from a Cauchy loss of its error in robust standard deviations. The deviations come from
+medians, so that nearly half of the rows may be wrong (Holland and Welsch 1977). Readings of one instrument in one unit
+are a channel. Every channel has a separate scale, because units and instruments differ. A set-up is one place of the
+instrument, and one place of its target on the tool. SI units.
 """
 
 from __future__ import annotations
@@ -309,7 +309,7 @@ def robust_align(
 ) -> Identification:
     """Fit base and tool pose to data with gross errors, from the poses that agree with each other.
 
-    Base poses are computed from random sets of four positions. The one with the smallest median error identifies the
+    Base poses are computed from random sets of four positions. The base pose of least median error identifies the
     gross errors (random sample consensus with the least median of squares, Rousseeuw 1984). `align` is then applied to
     the other poses, repeatedly.
 
@@ -434,7 +434,7 @@ def rough_start(nominal: Geometry, data: Observations) -> Geometry:
 
     Args:
         nominal: The nominal geometry.
-        data: The rows. Of several stations, the first one counts.
+        data: The rows. If there are several stations, the rows of the first station count.
 
     Raises:
         InputError: If the reflector's positions do not fit the arm.
@@ -492,7 +492,7 @@ def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Ident
 
 
 def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) -> Stacked:
-    """Return data sets as stations of one arm, those with an instrument's frame first.
+    """Return data sets as stations of one arm; data sets whose instrument has a frame come first.
 
     Args:
         arm: The arm.

@@ -266,9 +266,9 @@ def start_filter(
     """Return the first state of a filter that knows only the nominal arm.
 
     Args:
-        model: Candidate parameters; those that the poses do not identify are left out.
+        model: Candidate parameters. Parameters that the poses do not identify are left out.
         start: Geometry, or geometry with terms, to start from.
-        joints: Joints ``(N, n)``, rad or m, of poses like those to be measured. These poses decide which parameters are
+        joints: Joints ``(N, n)``, rad or m, of poses like the poses to be measured. They decide which parameters are
             identifiable.
         full_pose: False if only positions will be measured.
         prior: Prior standard deviation of each parameter, as a multiple of its tolerance; 10 is 10 mm and 0.6 deg for

@@ -36,8 +36,8 @@ Places = NDArray[np.int64]
 class Linearised:
     """A linear model of the residual of a fitted geometry, with terms that may be added to the geometry.
 
-    Its parameters are first the fitted ones (of the geometry, and unknowns of the measurements), then the terms'
-    coefficients.
+    The model's parameters are first the fitted parameters (of the geometry, and unknowns of the measurements), then the
+    terms' coefficients.
 
     Attributes:
         arm: The fitted geometry and the terms, all coefficients zero.
@@ -361,7 +361,7 @@ WARM = 5.0
 """Range of temperatures, K, above which thermal expansion is tried."""
 
 NAMES = ("compliance", "bending", "gravity", "periodic", "thermal")
-"""Terms that can be chosen, in the order of trial; those that need torques or masses come before gravity."""
+"""Terms that can be chosen, in the order of trial; terms that need torques or masses come before gravity."""
 
 
 TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]

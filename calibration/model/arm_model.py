@@ -240,7 +240,7 @@ class ErrorModel:
 
     Attributes:
         columns: Indices into the arm's ``parameter_names`` ``(P,)``, in order of preference: if parameters are
-            redundant, the earlier ones are kept.
+            redundant, the earlier parameters are kept.
         names: The parameters' names.
         tolerance: Typical deviation of each parameter ``(P,)``, m or rad, by which its Jacobian column is scaled.
     """
@@ -255,7 +255,7 @@ class ErrorModel:
         return ErrorModel(self.columns[kept], names, self.tolerance[kept])
 
     def joined(self, other: ErrorModel) -> ErrorModel:
-        """Return a model of these parameters, followed by those of another model."""
+        """Return a model of these parameters, followed by the parameters of another model."""
         columns, tolerance = np.r_[self.columns, other.columns], np.r_[self.tolerance, other.tolerance]
         return ErrorModel(columns, self.names + other.names, tolerance)
 

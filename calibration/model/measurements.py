@@ -26,7 +26,7 @@ from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANC
 from pickenv.calibration.model.observations import Observations, Origins, Rows, hash_of, origins_of, worked_out
 
 OWN_CONDITIONS = ("temperature_degC", "payload_kg")
-"""Columns of pickenv's own CSV format besides those of joints and poses."""
+"""Columns of pickenv's own CSV format besides the columns of joints and poses."""
 ROOM_TEMPERATURE = 20.0
 """Temperature that counts as the reference if none is given, degC."""
 POSITION_STD = 15e-6
@@ -156,7 +156,7 @@ class Measurements(Observations):
         return hash_of(self.joints, self.position, *([] if self.rotation is None else [self.rotation]))
 
     def table(self) -> tuple[list[str], Array]:
-        """Return column names with units, and the values in those units, one row per pose.
+        """Return the names of the columns with their units, and the table of values in these units, one row per pose.
 
         Known payloads and temperatures have columns. Torques have none, since pickenv's CSV format cannot hold them.
         """
@@ -384,7 +384,7 @@ class Stacked(Observations):
     If unknowns of several stations have the same name, they are one unknown.
 
     Attributes:
-        stations: The stations; those whose instrument has a frame come first.
+        stations: The stations. Stations whose instrument has a frame come first.
     """
 
     stations: tuple[InstrumentStation, ...]
@@ -485,7 +485,7 @@ class Stacked(Observations):
         return [np.array([place[name] for name in station.unknowns()], dtype=int) for station in self.stations]
 
     def _of_all(self, parts: Sequence[Array]) -> Array:
-        """Return one array over the unknowns of all stations, from an array of each station's unknowns."""
+        """Return one array over the unknowns of all stations ``(u,)``, from one array over each station's unknowns."""
         values = np.zeros(len(self.unknowns()))
         for places, part in zip(self._places, parts, strict=True):
             values[places] = part
@@ -595,7 +595,7 @@ class Stacked(Observations):
 
 
 def rows_together(parts: Sequence[Measurements]) -> Measurements:
-    """Join data sets into one, with those conditions that all of them recorded.
+    """Join data sets into one, with the conditions that all of them recorded.
 
     Args:
         parts: The data sets, which `Measurements.joinable` accepts.

@@ -1,12 +1,12 @@
 """What a fit weighs: the noise of measurements about a fitted model, and the priors of an arm's parameters.
 
-A channel is the readings of one instrument in one unit. Its scatter is estimated, whatever uncertainty was stated.
-Errors that a model cannot express are alike at neighbouring joints. Their length scale and share of the variance
-maximise the marginal likelihood of a Gaussian process on the residuals (Rasmussen and Williams 2006, eq 5.8). A group
-of n rows with equal errors carries as much information as one row of variance (1 - share + share n) / n. So rows of a
-cluster weigh less than isolated rows, and the common error widens the posterior (a sandwich covariance: White 1982).
-Equations of one picture share the error of its pose; the size of that error is estimated by expectation maximisation
-(Laird and Ware 1982).
+A channel is the readings of one instrument in one unit. The scatter of each channel is estimated, whatever uncertainty
+was stated. Errors that a model cannot express are alike at neighbouring joints. Their length scale and share of the
+variance maximise the marginal likelihood of a Gaussian process on the residuals (Rasmussen and Williams 2006, eq 5.8).
+A group of n rows with equal errors carries as much information as one row of variance (1 - share + share n) / n. So
+rows of a cluster weigh less than isolated rows, and the common error widens the posterior (a sandwich covariance: White
+1982). Equations of one picture share the error of the picture's pose; the size of this error is estimated by
+expectation maximisation (Laird and Ware 1982).
 
 A prior is the knowledge of a parameter before anything was measured: mean, standard deviation, and source. Every
 parameter has a prior. The prior's width (standard deviation) limits how far a fit moves the parameter. Lengths and
@@ -50,7 +50,7 @@ STATED = 3.0
 """Weight of a channel's stated uncertainty in its estimated scatter, as a number of equations."""
 
 USUAL = 0.75
-"""Quantile of the neighbour counts that is taken as the usual count; a cluster of rows counts as one row in it."""
+"""Quantile of the neighbour counts that is taken as the usual count; a cluster of rows counts as one row."""
 
 FREE = 0.25
 """Share of the rows that keep full weight when rows are weighed by their neighbours; a cluster counts as one row."""

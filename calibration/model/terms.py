@@ -31,9 +31,9 @@ ORDER_TOLERANCE = 0.25
 class ComplianceTerm(JointTerm):
     """Joint compliance: deflection dq = c tau under torque tau, with c = 1/k per joint (rad/(N*m) or m/N).
 
-    The torque is the measured one if the data contain torques. Otherwise it is the gravity torque from ``moments``, the
-    links' masses and first moments times g. The moments are fitted to measured torques, or come from the masses in the
-    arm's file.
+    The torque is the measured torque if the data contain torques. Otherwise it is the gravity torque from ``moments``,
+    the links' masses and first moments times g. The moments are fitted to measured torques, or come from the masses in
+    the arm's file.
 
     Attributes:
         joints: Indices of the compliant joints, from 0.

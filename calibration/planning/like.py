@@ -112,7 +112,7 @@ def measurable(
         move: Whether the joints may be moved; otherwise they are judged unmoved, with a tolerance of 1 mm.
 
     Returns:
-        The joints ``(N, n)``, rad or m, and a mask ``(N,)`` of those at which the instrument can read something.
+        The joints ``(N, n)``, rad or m, and a mask ``(N,)`` of joints at which the instrument can read something.
     """
     data, _, _ = first
     if data.views is not None:
@@ -210,7 +210,7 @@ def plan_like(
         data: The first rows, of one kind.
         count: Number of poses to measure.
         rng: Draws candidates, the order of exchanges, and the random sets of poses that the plan is compared with.
-        candidates: Joints to choose from ``(N, n)``, rad or m; those at which nothing can be read are left out. Or
+        candidates: Joints to choose from ``(N, n)``, rad or m; joints at which nothing can be read are left out. Or
             the number of candidates to draw.
         lines: Line, from 1, of each given candidate in its file ``(N,)``; None if the candidates come from no file.
         criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
@@ -318,7 +318,7 @@ def _by_pose(first: First, data: Observations, model: ErrorModel, scale: Array) 
     """Return the whitened, scaled Jacobian of each pose ``(N, r, own + P)``, without equations that belong to no row.
 
     r is at most 6 + own, since a pose has six components and the instrument has ``own`` unknowns. If there are more
-    equations, such as those of a board's corners, they are replaced by 6 + own equations with the same information.
+    equations, as for a board's corners, they are replaced by 6 + own equations with the same information.
     """
     matrix, (row, _) = _scaled(first, data, model, scale), data.equations()
     matrix, row = matrix[row >= 0], row[row >= 0]

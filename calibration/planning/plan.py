@@ -139,7 +139,7 @@ def travel_seconds(joints: Array, speed: Array) -> float:
 def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
     """Return a short tour of the poses as their indices, from 0, in the order of visits ``(N,)``.
 
-    It is the best of several nearest-neighbour tours after 2-opt. The arguments are those of `move_seconds`.
+    The tour is the best of several nearest-neighbour tours after 2-opt. The arguments are those of `move_seconds`.
     """
     cost = move_seconds(joints, speed)
     ways = [_two_opt(_nearest_neighbours(cost, start), cost) for start in range(min(len(joints), 10))]
@@ -240,8 +240,8 @@ class PosePlan:
         random_predicted_error: The same error for as many poses drawn at random, median of 20 sets, m; or None.
         where: The poses at which these errors are predicted, in words.
         passes: Number of rounds of exchange.
-        model: Observability of the parameters that the plan is to determine, and the same for as many random poses (for
-            JSON). None if the plan builds on rows that an instrument measured before.
+        model: Observability of the parameters that the plan is to determine, with the planned poses and with as many
+            random poses, for JSON. None if the plan builds on rows that an instrument measured before.
         arm: Observability of the arm's own parameters with base and tool known, as papers state it. None if the plan
             builds on such rows, or if the poses are too few to determine all these parameters without priors.
         first: Number of rows measured before the plan.
@@ -370,7 +370,7 @@ def design_of(
         model: The parameters, with or without priors.
         joints: Candidates ``(N, n)``, rad or m.
         kind: What will be measured, "pose" or "position".
-        position_std: Standard uncertainty of a position coordinate, m; that of an attitude is `ATTITUDE_STD`.
+        position_std: Standard uncertainty of a position coordinate, m; for an attitude it is `ATTITUDE_STD`.
     """
     parameters = model.parameters if isinstance(model, PriorModel) else model
     weight = 1.0 / np.repeat([position_std, ATTITUDE_STD], 3)[: 6 if kind == "pose" else 3]
@@ -427,8 +427,8 @@ def plan_poses(
 ) -> PosePlan:
     """Choose ``count`` poses to measure, and order them for short travel.
 
-    If parameters have priors, the predicted error is that of the posterior, as `pickenv.calibrate` states it. If base
-    and tool are fitted, the part of the error that base and tool can absorb is left out.
+    If parameters have priors, the predicted error is the error of the posterior, as `pickenv.calibrate` states it. If
+    base and tool are fitted, the part of the error that base and tool can absorb is left out.
 
     Args:
         arm: The arm, with joint limits and speeds.
@@ -445,7 +445,7 @@ def plan_poses(
             out, "test-poses" if ``test_joints`` are given, else "d-optimal".
         test_joints: Joints at which accuracy matters ``(M, n)``, rad or m; with "d-optimal" they serve only to predict
             the error.
-        position_std: Standard uncertainty of a position coordinate, m; that of an attitude is `ATTITUDE_STD`.
+        position_std: Standard uncertainty of a position coordinate, m; for an attitude it is `ATTITUDE_STD`.
         curve: Whether to predict the error also for half, twice, four and eight times as many poses. It is predicted at
             ``test_joints`` or, without them, at poses drawn uniformly from the joint ranges.
 
@@ -573,7 +573,7 @@ def _observed(design: Design, rows: Array) -> dict[str, float]:
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> dict[str, Any]:
-    """Compare the observability of the planned poses with that of random sets, as values for JSON.
+    """Compare the observability of the planned poses with the observability of random sets, as values for JSON.
 
     The random set with the median condition number represents all random sets. The O1 ratio is relative to the mean O1
     of all random sets. ``chosen`` are the planned poses' indices, from 0, among the candidates, and ``sets`` the joints

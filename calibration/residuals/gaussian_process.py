@@ -388,8 +388,8 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
     """Approximate a fitted process' posterior by a sum of waves with normal weights, to draw whole functions from it.
 
     The waves are random Fourier features (Rahimi and Recht 2007) with quasi-random frequencies. The posterior of their
-    weights is that of a linear regression (Rasmussen and Williams 2006, eqs (2.7)-(2.8)) on the rows and targets of the
-    process.
+    weights is the posterior of a linear regression (Rasmussen and Williams 2006, eqs (2.7)-(2.8)) on the rows and
+    targets of the process.
 
     Args:
         process: The process, with O outputs and F inputs.

@@ -56,7 +56,7 @@ class JointInputs(SavedArrays):
         """Return standardised inputs ``(..., F)`` for joints ``(..., n)``, rad or m, and conditions ``(..., c)``.
 
         Raises:
-            InputError: If the number of joints or conditions differs from that at training.
+            InputError: If the number of joints or conditions differs from the number at training.
         """
         joints = np.asarray(joints, dtype=float)
         if joints.shape[-1:] != self.periodic.shape:
@@ -120,7 +120,7 @@ class LearntResidual:
             conditions: Further inputs ``(..., c)`` in the order and units of training, if there were any.
 
         Raises:
-            InputError: If joints or conditions differ in number from those of training.
+            InputError: If the number of joints or conditions differs from the number at training.
         """
         return self.model.predict(self.inputs(joints, conditions))
 
@@ -143,7 +143,7 @@ class LearntResidual:
 
 TRIAL_FITTERS: Mapping[str, Fitter] = {"gp": partial(GaussianProcess.fit, likelihood_rows=200, starts=4)}
 """Fitters of models that are only compared, on many splits. The Gaussian process has a shorter search. It takes a fifth
-of the time, and its error on measured arms is within 6 % of that of the full search."""
+of the time, and its error on measured arms is within 6 % of the error after the full search."""
 
 
 def require_residual(name: str) -> None:
@@ -219,7 +219,7 @@ class GateVerdict:
         inner_rms: RMS cross-validated over blocks within the training rows, with the residual; None if it was not
             computed.
         geometric_inner_rms: RMS cross-validated over these inner blocks without the residual.
-        accepted: Whether the model won on the held-out blocks and on those within the training rows.
+        accepted: Whether the model won on the held-out blocks and on the blocks within the training rows.
         reason: Reason for the verdict, in words.
     """
 
