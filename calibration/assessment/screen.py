@@ -293,7 +293,8 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
     """Return the identified stiffness of each joint as values for JSON, with its standard deviation.
 
     Joints are numbered from 1. Stiffnesses are in N*m/rad for revolute joints, in N/m for prismatic ones. If torques
-    were measured, their RMS is given too, in N*m or N, and the RMS of the part that the arm's weight does not explain.
+    were measured, each joint has two more values, N*m or N: the RMS of the measured torque, and the RMS of the part of
+    the torque that the arm's weight does not explain.
 
     Args:
         found: The identification.

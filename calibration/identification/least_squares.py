@@ -56,8 +56,9 @@ class Identification:
         identifiability: Which parameters were identified and which were dropped as redundant, and the kept parameters
             that have the same effects as the dropped ones.
         delta: Identified minus starting values, in the order of ``identifiability.names`` (0 for dropped parameters).
-        covariance: Covariance of the kept parameters, in the order of ``identifiability.kept_names``. It is the
-            posterior's if they have priors, else it comes from the residual's scatter. NaN without spare equations.
+        covariance: Covariance of the kept parameters, in the order of ``identifiability.kept_names``. With priors it is
+            the posterior covariance. Without priors it comes from the residual's scatter, and is NaN without spare
+            equations.
         chi_square: Sum of squared whitened residuals.
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
@@ -285,6 +286,8 @@ def identify_converged(
 ) -> Identification:
     """Run `identify`; if it does not converge, run it again without parameters that the data hardly determine.
 
+    The arguments are those of `identify`.
+
     Raises:
         InputError: If there are too few poses for the model's rank, or none of the runs converges.
     """
@@ -471,7 +474,7 @@ class Identifiability:
 
     @property
     def condition(self) -> float:
-        """Condition number of the kept, scaled parameters."""
+        """Condition number of the Jacobian with the scaled columns of the kept parameters."""
         return float(self.singular_values[0] / self.singular_values[-1])
 
     @property
@@ -569,7 +572,8 @@ def identifiable_parameters(
 def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, dict[str, float]]:
     """Return the longest length that ``visible`` keeps, and a change of the other kept lengths with the same effect.
 
-    The dictionary is like `Identifiability.dropped`. It is empty if ``visible`` keeps no length.
+    The dictionary is like `Identifiability.dropped`: the change is per metre of the longest length. It is empty if
+    ``visible`` keeps no length.
     """
     names = [f"a{i}" for i in range(geometry.links)] + [f"d{i + 1}" for i in range(geometry.links)]
     values = dict(zip(names, [*geometry.a, *geometry.d], strict=True))

@@ -265,7 +265,7 @@ WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
 """Largest numbers of re-weighted fits and of repeated alignments, and number of random sets of four poses."""
 
 CAUCHY = 2.385
-"""Error, in standard deviations per coordinate, at which a row weighs 0.5; 95 % efficiency for normal noise."""
+"""Error, in standard deviations per coordinate, at which a row weighs 0.5; for normal noise the efficiency is 95 %."""
 
 
 Sizes = tuple[Array, Array, Array]

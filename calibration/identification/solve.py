@@ -305,8 +305,8 @@ def random_walk(state: FilterState, tolerances: float) -> Array:
 
     Args:
         state: The filter's state.
-        tolerances: Standard deviation of each parameter's drift after one hour, as a multiple of its tolerance. It
-            grows with the square root of time.
+        tolerances: Standard deviation of each parameter's drift after one hour, as a multiple of its tolerance. The
+            drift grows with the square root of time.
     """
     return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / 3600.0)
 

@@ -451,9 +451,12 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
 
 
 def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
-    """Return the term of this name, one of `NAMES`; "periodic" has all candidate harmonics.
+    """Return the term of this name.
 
-    "compliance" takes measured torques, or else the weight of the arm's masses; "bending" takes these masses.
+    Args:
+        name: One of `NAMES`. The term "periodic" has all candidate harmonics.
+        arm: The arm. "bending" takes the weight of the arm's masses, as does "compliance" without measured torques.
+        observations: The rows, whose measured torques "compliance" takes.
     """
     geometry = arm.nominal
     if name == "periodic":

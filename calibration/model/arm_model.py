@@ -358,10 +358,15 @@ def pose_carrier() -> Arm:
 
 
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
-    """Return the parameters to identify for the arm named ``arm``, whose nominal geometry is ``nominal``.
+    """Return the parameters of an arm to identify.
 
     For the pose carrier (`CARRIER`) they are base and tool pose. Every other arm has the parameters of `link_model` if
-    base and tool are known (``known_frames``), else the parameters of `complete_model`.
+    base and tool are known, else the parameters of `complete_model`.
+
+    Args:
+        arm: The arm's name.
+        nominal: The arm's nominal geometry.
+        known_frames: Whether base and tool are known.
     """
     if arm == CARRIER:
         return frames_model(nominal)

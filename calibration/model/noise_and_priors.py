@@ -59,7 +59,7 @@ WORTH = 3.0
 """Log-likelihood ratio above which neighbours count as having like errors."""
 
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
-"""Largest number of equally spaced rows in the fit of length and share, and in the search for neighbours."""
+"""Largest number of equally spaced rows: to fit the share in common and its length scale, and to count neighbours."""
 
 LEAST_SPARE = 0.05
 """Least share of an equation that counts as a degree of freedom of the scatter, however large its leverage is."""
@@ -261,8 +261,8 @@ def _of_pictures(
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
-"""Choices of the parameters that a fit may move: "auto" for all within their priors, "offsets" for joint zeros and an
-unknown base and tool, "full" for all without priors."""
+"""Choices of the parameters that a fit may move. "auto": all parameters, with priors. "offsets": joint zeros, and base
+and tool if these are unknown. "full": all parameters, without priors."""
 
 TOLERANCE_CLASS = "cobot"
 """Default tolerance class of an arm's parts."""
@@ -437,7 +437,7 @@ def never_told(names: Sequence[str], covariance: Array) -> list[str]:
 
     Args:
         names: Names of the identified parameters, p of them.
-        covariance: Their posterior covariance ``(p, p)``, m and rad.
+        covariance: Posterior covariance of these parameters ``(p, p)``, m and rad.
     """
     wide = np.diag(covariance) > (TOLD * FRAME_STD) ** 2
     return [name for name, free in zip(names, wide, strict=True) if free and name.startswith(("base_", "tool_"))]

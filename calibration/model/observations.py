@@ -39,10 +39,10 @@ class Clocks:
         moment: Time on the instrument's clock, within the recording, at which the clocks differ by ``offset``, s.
         offset: Reading of the instrument's clock at ``moment`` minus the reading of the joint log's clock, s.
         offset_std: Standard uncertainty of ``offset``, s.
-        rate: Share by which the instrument's clock runs faster than the joint log's; 1e-6 is one part in a million.
+        rate: Share by which the instrument's clock runs faster than the joint log's clock; 1e-6 is one in a million.
         rate_std: Standard uncertainty of ``rate``.
         expected_rate_std: Prior standard uncertainty of ``rate``, before the recording is used.
-        still: True if each row is a mean over a rest of the arm, False if it is a single sample of its motion.
+        still: True if each row is a mean over a time of rest, False if each row is one sample of the arm's motion.
         rows: Number of rows that the recording gave.
     """
 
@@ -459,7 +459,7 @@ class Observations:
 
 
 def hash_of(*parts: Array) -> str:
-    """Return one hash over all arrays, rounded to 1e-9 m or rad; it is equal for a copy read from a CSV file."""
+    """Return one hash over all arrays, rounded to 1e-9 m or rad; a copy read from a CSV file has the same hash."""
     integers = [np.rint(part * 1e9).astype(np.int64) for part in parts]
     return hashlib.sha256(b"".join(part.tobytes() for part in integers)).hexdigest()[:16]
 
@@ -518,8 +518,8 @@ def equally_spaced(rows: int, most: int) -> Rows:
 def same_poses(joints: Array) -> Rows:
     """Return the number of each row's pose ``(N,)``; poses are numbered from 0 in the order of their first rows.
 
-    Rows whose joints all differ by `SAME_POSE` or less are of one pose, and so are chains of such rows. A chain that
-    extends over more than `PATH` is a slow path rather than a pose; it is cut into cells of `SAME_POSE`.
+    Rows whose joints all differ by `SAME_POSE` or less are of one pose. A chain of such rows is one pose, too. A chain
+    that extends over more than `PATH` is a slow path rather than a pose; it is cut into cells of `SAME_POSE`.
 
     Args:
         joints: Joints ``(N, n)``, rad or m.

@@ -179,8 +179,8 @@ class GravityTerm(JointTerm):
 
     The torque tau on a joint is linear in the mass m and the first moments m r of every link that the joint carries. So
     the deflection c tau is linear in c m and c m r. Each pair of a joint and a moment has one coefficient (rad/m, or m
-    for prismatic joints). Most coefficients are redundant, and the solver's rank decision drops them. A recorded
-    payload adds one more coefficient per joint (rad/(kg*m)), for the payload's torque.
+    for prismatic joints). Most coefficients are redundant: their priors keep them small, or the solver's rank decision
+    drops them. A recorded payload adds one more coefficient per joint (rad/(kg*m)), for the payload's torque.
 
     Attributes:
         joints: Indices of the compliant joints, from 0.

@@ -307,8 +307,11 @@ def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel |
 def _scaled(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
     """Return the whitened, scaled Jacobian ``(E, own + P)``: the instrument's own unknowns, then P arm parameters.
 
-    The Jacobian is taken at the arm and unknowns in ``first`` (`first_rows`). Each column is multiplied by the typical
-    deviation of its parameter in ``scale`` ``(own + P,)``.
+    Args:
+        first: The instrument, from `first_rows`; the Jacobian is taken at its arm and unknowns.
+        data: Rows of the instrument.
+        model: The arm's P parameters.
+        scale: Typical deviation of each unknown and parameter ``(own + P,)``, by which its column is multiplied.
     """
     by_arm, by_own = data.jacobian(*first[1:])
     return np.asarray(np.hstack([by_own, by_arm[:, model.columns]]) * scale)

@@ -237,8 +237,13 @@ def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-un
 
     A short last batch is filled from the start of the epoch's shuffle.
 
-    ``model`` is the torch network. ``x`` ``(N, n)`` and ``y`` ``(N, k)`` are tensors of standardised inputs and
-    targets. The other arguments are those of `train_bpnn`.
+    Args:
+        model: The torch network; its weights are trained in place.
+        x: Tensor of standardised inputs ``(N, n)``.
+        y: Tensor of standardised targets ``(N, k)``.
+        rng: Shuffles the rows of each epoch.
+        settings: Training settings.
+        progress: See `train_bpnn`.
     """
     import torch
 

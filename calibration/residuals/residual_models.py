@@ -335,7 +335,14 @@ held-out rows. Residuals are relative to the arm that was identified from the tr
 
 
 def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:
-    """Return the split of measurements into training and held-out rows (indices from 0), with the refitted arm."""
+    """Return the split of the measurements into training and held-out rows, with the residuals of the refitted arm.
+
+    Args:
+        measurements: All rows.
+        refit: Identifies the arm from the training rows.
+        train_rows: Indices, from 0, of the training rows.
+        test_rows: Indices, from 0, of the held-out rows.
+    """
     train, test = measurements.select(train_rows), measurements.select(test_rows)
     model = refit(train)
     return train, test, train.difference(model), test.difference(model), counted(measurements.joints)[test_rows]
@@ -344,7 +351,11 @@ def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array:
     """Return the held-out rows' residual minus the prediction of a model that learns from the trial's training rows.
 
-    The model is the registered one with this name, and ``fitter`` replaces its fit unless it is None.
+    Args:
+        name: Name of the registered model.
+        seed: Seed of the model's fit.
+        fitter: Function that replaces the model's fit; None to keep it.
+        trial: The split.
     """
     train, test, to_learn, untouched, _ = trial
     rows, rng = (train.joints, to_learn, train.prismatic), np.random.default_rng(seed)
