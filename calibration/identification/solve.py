@@ -59,15 +59,15 @@ def solve(
     """Fit a model's parameters to rows and priors.
 
     Args:
-        model: The parameters with their priors. A scale is the factor on the prior widths of a
-            group of parameters. The solution is averaged over the scales that the model does not state.
+        model: The parameters with their priors. A scale is the factor on the prior widths of a group of parameters.
+            The solution is averaged over the scales that the model does not state.
         data: The rows. If they involve no known length, priors of lengths are not rescaled, because the smallest arm
             would fit best.
         noise: The scatter of the rows; estimated from them when left out.
         near: A solution of the same rows with fewer parameters, to start from.
 
     Returns:
-        The identification. If every parameter has a prior, all are kept, and the covariance is the posterior's.
+        The identification. If every parameter has a prior, all are kept, and the covariance is the posterior covariance.
 
     Raises:
         InputError: If there are too few rows for parameters without priors, or the fit does not converge.

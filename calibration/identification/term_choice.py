@@ -109,7 +109,10 @@ class Linearised:
 
     @cached_property
     def normal(self) -> tuple[Array, Array, Array]:
-        """Normal equations of each of B blocks of rows: A^T A ``(B, P, P)``, A^T r ``(B, P)`` and r^T r ``(B,)``."""
+        """Normal equations of each of B blocks of rows: A^T A ``(B, P, P)``, A^T r ``(B, P)`` and r^T r ``(B,)``.
+
+        A and r are the derivatives and the residual of a block, from `equations`.
+        """
         parts = [self.equations(block) for block in self.blocks]
         matrix = np.stack([columns.T @ columns for columns, _ in parts])
         right = np.stack([residual @ columns for columns, residual in parts])

@@ -106,7 +106,7 @@ class RowNoise:
 
 
 def stated_noise(data: Observations) -> RowNoise:
-    """Return the noise by the standard uncertainties that the data state, without errors shared between rows."""
+    """Return the noise that the data state by their standard uncertainties; rows share no errors."""
     rows, channels = data.equations()
     return RowNoise(np.ones(len(rows)), np.ones(int(channels.max(initial=0)) + 1))
 
