@@ -67,7 +67,7 @@ def solve(
         near: A solution of the same rows with fewer parameters, to start from.
 
     Returns:
-        The identification. If every parameter has a prior, all are kept, and the covariance is the posterior covariance.
+        The identification. If every parameter has a prior, all are kept, and the covariance is of the posterior.
 
     Raises:
         InputError: If there are too few rows for parameters without priors, or the fit does not converge.
