@@ -132,7 +132,7 @@ MATTERS = 0.03
 """Share by which the residuals must shrink, once the stated number is fitted, for a contradiction to matter."""
 
 LENS_MATTERS = 0.2
-"""Share by which a fitted lens, whose nine numbers always absorb some, must shrink the residuals in pixels."""
+"""Share by which a fitted lens must shrink the residuals, px, to matter. Its nine numbers always absorb some."""
 
 
 def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObservations, Observations]]:
@@ -214,8 +214,8 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
 
     Returns:
         For each set-up: its number from 1, its files, its count of rows, and which of its frames ("base", "tool")
-        differ from the first set-up's. Such a frame comes with its distance from the first set-up's, mm and deg. The
-        list is empty if there is only one file.
+        differ from the first set-up's. Such a frame comes with its distance from the first set-up's frame, in mm and
+        deg. The list is empty if there is only one file.
     """
     rows: list[dict[str, Any]] = []
     for station in data.stations or (measurements.InstrumentStation(data),):

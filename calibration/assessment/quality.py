@@ -281,8 +281,13 @@ def _region(
 ) -> RegionError:
     """Compute expected errors of the geometry alone: terms depend on conditions, which are unknown in a region.
 
-    The region has the name ``region`` and is represented by ``joints`` ``(M, n)``, rad or m. For a whole robot,
-    ``between`` ``(M, 2)`` holds the two links between which each pose is computed; for a single chain it is -1.
+    Args:
+        region: Name of the region.
+        solution: The least-squares solution, whose parameters have priors.
+        nominal: The nominal geometry. If base and tool were fitted, it has the fitted ones.
+        joints: Joints that represent the region ``(M, n)``, rad or m.
+        between: For a whole robot, indices of the two links between which each pose is computed ``(M, 2)``, from 0,
+            with -1 for the world; all -1 for a single chain.
     """
     prior, fitted = solution.prior, solution.geometry
     assert prior is not None
@@ -317,7 +322,7 @@ def _region(
 
 
 def _size(errors: Array) -> tuple[float, tuple[float, float]]:
-    """Return the root mean square over arms of their errors ``(A,)``, m, and the 95 % interval of these errors."""
+    """Return the root mean square of the errors of A arms ``(A,)``, m, and the 95 % interval of these errors."""
     low, high = np.percentile(errors, [2.5, 97.5]).tolist()
     return float(np.sqrt(np.mean(errors**2))), (low, high)
 
@@ -345,7 +350,7 @@ class Quality:
 
     @property
     def others(self) -> tuple[tuple[Weight, str], ...]:
-        """All findings except the one that is `reason`."""
+        """All findings except the finding that is `reason`."""
         return tuple((weight, text) for weight, text in self.findings if text != self.reason)
 
     def as_dict(self) -> dict[str, Any]:
@@ -432,7 +437,7 @@ def _rms(errors: Array, unit: str) -> float:
 def no_gain(
     before: Array | None, after: Array, blocks: Rows | None, unit: str, count: int, called: str, because: str = ""
 ) -> Iterator[str]:
-    """Yield the reasons why held-out rows do not show that the calibrated arm is better than the nominal one.
+    """Yield the reasons why held-out rows do not show that the calibrated arm is better than the nominal arm.
 
     Args:
         before: Errors of the nominal arm ``(M, k)``, m or rad; None if there is no nominal arm. If k is larger than 3,
@@ -468,8 +473,12 @@ def _undecided(before: Array, after: Array, blocks: Rows | None) -> bool:
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:
     """Return a clause that names the likely reason why a calibration is no improvement, and the remedy.
 
-    Held-out errors ``(M, k)``, m or rad, are ``before`` for the nominal arm, ``after`` for the calibrated arm, and
-    ``unlearnt`` for the calibrated arm without a learnt residual. ``unit`` is "mm" or "deg".
+    Args:
+        found: The identification.
+        before: Held-out errors of the nominal arm ``(M, k)``, m or rad.
+        after: Held-out errors of the calibrated arm ``(M, k)``, m or rad.
+        unlearnt: Held-out errors of the calibrated arm without a learnt residual ``(M, k)``, m or rad.
+        unit: The unit in which errors are shown, "mm" or "deg".
     """
     was, now, plain = (_rms(errors, unit) for errors in (before, after, unlearnt))
     if found.arm_model.terms and plain > was:
@@ -503,7 +512,12 @@ def _cautions(
 ) -> Iterator[str]:
     """Yield sentences of weight "caution" on the workspace, large held-out errors, and too few equations.
 
-    ``trained`` are the errors on fitted rows, ``after`` the errors on held-out rows, both without a learnt residual.
+    Args:
+        found: The identification.
+        trained: Errors on fitted rows without a learnt residual ``(N, k)``, m or rad.
+        after: Errors on held-out rows without a learnt residual ``(M, k)``, m or rad.
+        workspace: Expected errors where rows were measured and where the arm will work; None without priors.
+        unit: The unit in which errors are shown, "mm" or "deg".
     """
     if workspace is not None and workspace.reservation is not None:
         yield workspace.reservation

@@ -29,9 +29,10 @@ LEAST_ROWS = 20
 """Smallest number of single errors for a 95 % interval of their mean; with ten, it covers the mean in only 92 %."""
 
 MOST_APART = 0.4
-"""Largest spread between blocks, as standard deviation of the logarithm of their root mean squares, for an interval of
-the root mean square. Above it one block outweighs the others, and an interval from ten blocks covers the root mean
-square in less than 93 %. For the errors that calibrations of measured robots leave, the spread is 0.03 to 0.23."""
+"""Largest spread between blocks for which an interval of the root mean square is computed. The spread is the standard
+deviation of the logarithms of the blocks' root mean squares. Above this spread one block outweighs the others, and an
+interval from ten blocks covers the root mean square in less than 93 %. For the errors that calibrations of measured
+robots leave, the spread is 0.03 to 0.23."""
 
 
 @dataclass(frozen=True)
@@ -292,7 +293,8 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
     """Return the identified stiffness of each joint as values for JSON, with its standard deviation.
 
     Joints are numbered from 1. Stiffnesses are in N*m/rad for revolute joints, in N/m for prismatic ones. If torques
-    were measured, their RMS is given too, in N*m or N, and the RMS of the part that the arm's weight does not explain.
+    were measured, each joint has two more values, N*m or N: the RMS of the measured torque, and the RMS of the part of
+    the torque that the arm's weight does not explain.
 
     Args:
         found: The identification.
@@ -344,8 +346,8 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
             blocks are contiguous tenths of the poses.
 
     Returns:
-        The entry "factor", and the entry "covered": the share of errors below their bound, where each block's bound
-        comes from all other blocks. None if there are too few errors or blocks.
+        The entry "factor", and the entry "covered". The latter is the share of errors below the factor times their
+        expected size, if each block's factor comes from all other blocks. None if there are too few errors or blocks.
     """
     count = len(squares)
     if count < 2 * BLOCKS:

@@ -79,7 +79,7 @@ def said_of_repeats(train: Observations, test: Observations) -> Said:
 def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
     """Return indices, from 0, of rows of ``other`` that copy rows of ``known``, and the indices of the copied rows.
 
-    Both are empty if chance can explain so few equal readings.
+    Both are empty if chance explains the equal readings, or if the data sets are of different kinds.
     """
     none = np.zeros(0, dtype=np.int64)
     mine, theirs = known.readings(), other.readings()
@@ -148,8 +148,8 @@ class LeftOut:
         file: The row's file.
         line: The row's line in the file, from 1.
         held_out: Whether the row was among the held-out rows.
-        position: Size of the row's largest miss, m, or rad if directions are measured; None if it was left out for
-            another reason.
+        position: Size of the row's largest miss, m, or rad if directions are measured; None if the row is not an
+            outlier.
         attitude: Size of the row's attitude error, rad; None if no attitudes were measured.
         sigma: Size of the row's error in robust standard deviations of one coordinate.
         why: The reason in words, if one is known.
@@ -242,7 +242,7 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
 
     Args:
         listed: The outliers, and other rows left out.
-        rows: Count of all rows, those left out among them.
+        rows: Count of all rows, including the rows left out.
     """
     far = [item for item in listed if item.sigma is not None]
     if not far:
@@ -260,7 +260,9 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
 
 
 def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Said:
-    """Yield a caution for each file whose rows were all left out, or all before some row, or all from some row on.
+    """Yield a caution for each file of which all rows, or only first rows, or only last rows were left out.
+
+    First or last rows count if at least `SIDE` of them are outliers.
 
     Args:
         listed: The rows left out.
@@ -287,7 +289,10 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Sa
 
 
 def said_of_stations(found: Identification, data: Observations) -> Said:
-    """Yield a caution for each station whose residuals are far larger than the other stations', with fitted frames."""
+    """Yield a caution for each station whose residuals are far larger than the residuals of the other stations.
+
+    Base and tool of each station are fitted, so another set-up cannot be the cause.
+    """
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
     sizes = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
@@ -307,7 +312,8 @@ def said_of_stations(found: Identification, data: Observations) -> Said:
 def said_of_moves(found: Identification, data: Observations) -> Said:
     """Yield a caution for each file of poses or positions within which the instrument was moved.
 
-    A second base, from some row on, then removes most of the errors. Of the errors of a steady drift it removes half.
+    In such a file, a second base from some row on removes most of the errors. It would remove only half of the errors
+    of a steady drift.
     """
     ends = np.cumsum([len(part.rows_of_misses) for part in data.parts])
     misses = np.split(data.misses(found.arm_model, unknowns_of(found, data)), ends[:-1])
@@ -337,9 +343,10 @@ def said_of_moves(found: Identification, data: Observations) -> Said:
 
 
 def _beside_base(sums: Array) -> Array:
-    """Return the error's sums of squares ``(...)`` that no base removes.
+    """Return the sum of squared errors ``(...)`` that remains with the best base.
 
-    ``sums`` ``(..., 7, 7)`` are the sums of products of seven columns: the base's six derivatives, then the errors.
+    Args:
+        sums: Sums of the products of seven columns ``(..., 7, 7)``: the base's six derivatives, then the errors.
     """
     slope = np.linalg.pinv(sums[..., :6, :6], 1e-9, True) @ sums[..., :6, 6:]
     return np.asarray(sums[..., 6, 6] - (sums[..., 6:, :6] @ slope)[..., 0, 0])
@@ -348,8 +355,13 @@ def _beside_base(sums: Array) -> Array:
 def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observations, test: Observations) -> str:
     """Return why most held-out rows do not fit: another unit, another place of base or tool, or something else.
 
-    ``found`` is the robust fit to the training rows. ``scales`` ``(C,)`` are the fit's robust standard deviations by
-    channel; a channel is the readings of one instrument in one unit.
+    Args:
+        arm: The arm.
+        found: The robust fit to the training rows.
+        scales: The fit's robust standard deviation of each channel ``(C,)``. A channel is the readings of one
+            instrument in one unit.
+        train: Training rows.
+        test: Held-out rows.
     """
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
     scale = MISS_UNITS[test.miss_unit]
@@ -398,7 +410,10 @@ def mixed_unit(arm: Arm, sigma: Callable[[Measurements], Array], measurements: M
 
 
 def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]]:
-    """Yield copies of the rows with one column read in another unit, each with words that name column and unit."""
+    """Yield copies of the rows in which one column is read in another unit.
+
+    Each copy comes after words that name the column and the unit.
+    """
     length, angle = ("mm", "m", 1e-3), ("deg", "rad", np.pi / 180)
     values = {"joints": data.joints, "position": data.position}
     columns = [
@@ -440,7 +455,10 @@ def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut
 def _blind_views(views: PixelObservations) -> dict[int, str]:
     """Return the reasons why views are left out, by the view's index from 0: too few corners, or all near one line.
 
-    In a table of corners, a view without corners is the only one left out.
+    In a table of corners, only views without corners are left out.
+
+    Raises:
+        InputError: If fewer than `LEAST_VIEWS` views show enough of the board.
     """
     counts, found = views.seen.sum(axis=1), views.pictures is not None and not views.board[:, 2].any()
     least, remarks, starts = LEAST_CORNERS if found else 1, views.remarks, views.starters()

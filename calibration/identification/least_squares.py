@@ -35,8 +35,8 @@ NEAR = 5.0
 """The Jacobian is reused after a step below this many uncertainties, if steps also shrink tenfold each time."""
 
 REDUNDANCY_TOLERANCE = 1e-3
-"""A parameter is redundant if the part of its scaled column that earlier columns do not explain is small: its norm is
-below this share of the largest norm."""
+"""Share of the largest column norm. A parameter is redundant if earlier columns explain all of its scaled column but a
+part whose norm is below this share."""
 
 BLOCK = 1600
 """Number of equations that `triangle` reduces at a time; so many fit into the processor's cache."""
@@ -56,8 +56,9 @@ class Identification:
         identifiability: Which parameters were identified and which were dropped as redundant, and the kept parameters
             that have the same effects as the dropped ones.
         delta: Identified minus starting values, in the order of ``identifiability.names`` (0 for dropped parameters).
-        covariance: Covariance of the kept parameters, in the order of ``identifiability.kept_names``. It is the
-            posterior's if they have priors, else it comes from the residual's scatter. NaN without spare equations.
+        covariance: Covariance of the kept parameters, in the order of ``identifiability.kept_names``. With priors it is
+            the posterior covariance. Without priors it comes from the residual's scatter, and is NaN without spare
+            equations.
         chi_square: Sum of squared whitened residuals.
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
@@ -138,7 +139,7 @@ def unknowns_of(found: Identification, observations: Observations) -> Array:
 
 
 def is_angle(name: str) -> bool:
-    """Return whether a parameter's name is that of an angle."""
+    """Return whether a parameter is an angle, by its name."""
     return name.startswith(("alpha", "theta", "beta")) or name.partition("_")[2].startswith("r")
 
 
@@ -285,6 +286,8 @@ def identify_converged(
 ) -> Identification:
     """Run `identify`; if it does not converge, run it again without parameters that the data hardly determine.
 
+    The arguments are those of `identify`.
+
     Raises:
         InputError: If there are too few poses for the model's rank, or none of the runs converges.
     """
@@ -328,8 +331,14 @@ def _jacobian(
 ) -> Array:
     """Return the stacked, whitened Jacobian ``(E, own + P)`` of several data sets.
 
-    Columns of the data sets' own unknowns come first, then those of the P parameters in ``model``. Each column is
-    multiplied by its entry in ``tolerance`` ``(own + P,)``. The Jacobian is taken at ``arm`` and ``unknowns``.
+    The columns of the data sets' own unknowns come first, then the columns of the P parameters.
+
+    Args:
+        model: The parameters.
+        sets: The data sets.
+        arm: The arm at which the Jacobian is taken.
+        unknowns: Values of each data set's own unknowns at which the Jacobian is taken.
+        tolerance: Factor on each column ``(own + P,)``.
     """
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
     jacobian = np.zeros((len(tolerance), sum(len(by_arm) for by_arm, _ in parts))).T
@@ -343,9 +352,13 @@ def _jacobian(
 
 
 def _solve(matrix: Array, right: Array, damping: float) -> Array:
-    """Compute the least-squares solution ``(K,)`` of ``matrix`` x = ``right`` by QR.
+    """Compute the damped least-squares solution ``(K,)`` of linear equations by QR.
 
-    Levenberg's ridge is added to the matrix: the square root of ``damping`` times the columns' RMS norm.
+    Args:
+        matrix: Matrix of the equations ``(rows, K)``.
+        right: Right-hand side ``(rows,)``.
+        damping: Levenberg's damping, 0 for none. Each unknown gets one more equation, which pulls it towards zero with
+            the weight sqrt(damping) times the RMS norm of the columns.
     """
     if damping:
         ridge = np.sqrt(damping) * np.linalg.norm(matrix) / np.sqrt(matrix.shape[1])
@@ -395,10 +408,18 @@ def _covariance(matrix: Array, scale: Array, variance: float) -> Array:
 def _enough_poses(
     model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
-    """Refuse data sets with fewer equations than parameters that such data identify at random poses.
+    """Refuse data sets with too few equations for the parameters that such data identify at random poses.
 
-    ``rank`` is the number of parameters that the data identify at their own poses, ``rows`` the number of equations,
-    and ``unknowns`` the values of each data set's own unknowns.
+    Args:
+        model: The parameters.
+        arm: The arm before the fit.
+        sets: The data sets.
+        unknowns: Values of each data set's own unknowns.
+        rank: Number of parameters that the data identify at their own poses.
+        rows: Number of equations.
+
+    Raises:
+        InputError: If there are too few equations.
     """
     if rows >= 2 * (len(model.names) + sum(len(values) for values in unknowns)):
         return  # whatever the rank elsewhere, there are enough
@@ -425,7 +446,7 @@ def _enough_poses(
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """The parameters that are identifiable and those that are not: the result of `identifiability`.
+    """The result of `identifiability`: which parameters are identifiable, and which are not.
 
     Attributes:
         names: All parameters, in order.
@@ -434,7 +455,7 @@ class Identifiability:
             rad. Together they have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. The
             dictionary is empty if the dropped parameter has no effect on the measurements.
         r_diagonal: Absolute diagonal ``(P,)`` of R in the QR decomposition of the Jacobian (Qiao 2026 eq (9)), one
-            number for each parameter. The Jacobian is that of all rows, with scaled columns. The number is about 0 for
+            number for each parameter. The Jacobian is of all rows, with scaled columns. The number is about 0 for
             a dropped parameter. Divided by the mean, it is the paper's ratio phi (eq (10)).
         singular_values: Singular values ``(K,)`` of the same Jacobian with the columns of the kept parameters alone,
             divided by the square root of the number of poses.
@@ -453,7 +474,7 @@ class Identifiability:
 
     @property
     def condition(self) -> float:
-        """Condition number of the kept, scaled parameters."""
+        """Condition number of the Jacobian with the scaled columns of the kept parameters."""
         return float(self.singular_values[0] / self.singular_values[-1])
 
     @property
@@ -469,7 +490,7 @@ def identifiability(
 
     Args:
         matrix: Stacked Jacobian ``(rows, P)``, rows weighted, columns scaled by ``tolerance``.
-        names: Names of the parameters; of redundant parameters, earlier ones are kept.
+        names: Names of the parameters. If parameters are redundant, the earlier parameters are kept.
         tolerance: Scale of each parameter ``(P,)``, m or rad.
         poses: Number of poses that the rows come from.
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.
@@ -549,9 +570,10 @@ def identifiable_parameters(
 
 
 def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, dict[str, float]]:
-    """Return the longest length that ``visible`` keeps, with deviations of the other lengths that have the same effect.
+    """Return the longest length that ``visible`` keeps, and a change of the other kept lengths with the same effect.
 
-    The dictionary is like `Identifiability.dropped`. It is empty if ``visible`` keeps no length.
+    The dictionary is like `Identifiability.dropped`: the change is per metre of the longest length. It is empty if
+    ``visible`` keeps no length.
     """
     names = [f"a{i}" for i in range(geometry.links)] + [f"d{i + 1}" for i in range(geometry.links)]
     values = dict(zip(names, [*geometry.a, *geometry.d], strict=True))

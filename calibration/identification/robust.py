@@ -1,9 +1,9 @@
 """Robust identification from any start: alignment, re-weighted least squares, and grouping of files by set-up.
 
-Each row gets one weight from a Cauchy loss of its error in robust standard deviations. These come from medians, so that
-nearly half of the rows may be wrong (Holland and Welsch 1977). Readings of one instrument in one unit are a channel.
-Every channel has a separate scale, because units and instruments differ. A set-up is one place of the instrument, and
-one place of its target on the tool. SI units.
+Each row gets one weight from a Cauchy loss of its error in robust standard deviations. The deviations come from
+medians, so that nearly half of the rows may be wrong (Holland and Welsch 1977). Readings of one instrument in one unit
+are a channel. Every channel has a separate scale, because units and instruments differ. A set-up is one place of the
+instrument, and one place of its target on the tool. SI units.
 """
 
 from __future__ import annotations
@@ -73,7 +73,10 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *,
 
 
 def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float]:
-    """Return the RMS errors of positions, as a share of their spread, and of attitudes, rad (0 if not measured)."""
+    """Return the RMS position error, as a share of the positions' spread, and the RMS attitude error, rad.
+
+    The attitude error is 0 if no attitudes were measured.
+    """
     spread = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-12)
     squares = measurements.difference(geometry) ** 2
     position, attitude = (float(np.sqrt(np.mean(np.sum(part, axis=1)))) for part in (squares[:, :3], squares[:, 3:]))
@@ -83,8 +86,8 @@ def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float
 def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry]:
     """Yield starting geometries with different tools, each with the base that fits best.
 
-    The nominal tool and the closed-form tool come first, then random tools, drawn with a fixed seed. Within each of
-    these two groups, the tool of the smallest error comes first.
+    The nominal tool and the closed-form tool come first, then random tools, drawn with a fixed seed. Each of these two
+    groups is in order of increasing error.
     """
     bare = ArmModel.of(replace(geometry, base=identity_pose(), tool=identity_pose()))
     chain = bare.pose(measurements.joints, measurements.conditions)
@@ -155,8 +158,11 @@ def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) ->
 def _offset_from_positions(chain: Pose, position: Array) -> Array:
     """Compute the tool offset u ``(3,)``, m, from M p - s - Q u = o, which is linear in M = R^T, s = R^T t and u.
 
-    R and t are the base's rotation and position. ``chain`` holds rotation Q and position o of the last link in frame 0
-    at each of N rows, and ``position`` the measured positions p ``(N, 3)``, m.
+    R and t are the base's rotation and position.
+
+    Args:
+        chain: Rotations Q and positions o of the last link in frame 0 at the measured joints ``(N,)``.
+        position: Measured positions p ``(N, 3)``, m.
     """
     count, middle = len(position), position.mean(axis=0)
     by_rotation = np.einsum("ik,nj->nikj", np.eye(3), position - middle).reshape(count, 3, 9)
@@ -259,7 +265,7 @@ WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
 """Largest numbers of re-weighted fits and of repeated alignments, and number of random sets of four poses."""
 
 CAUCHY = 2.385
-"""Error, in standard deviations per coordinate, at which a row weighs 0.5; 95 % efficiency for normal noise."""
+"""Error, in standard deviations per coordinate, at which a row weighs 0.5; for normal noise the efficiency is 95 %."""
 
 
 Sizes = tuple[Array, Array, Array]
@@ -303,7 +309,7 @@ def robust_align(
 ) -> Identification:
     """Fit base and tool pose to data with gross errors, from the poses that agree with each other.
 
-    Base poses are computed from random sets of four positions. The one with the smallest median error identifies the
+    Base poses are computed from random sets of four positions. The base pose of least median error identifies the
     gross errors (random sample consensus with the least median of squares, Rousseeuw 1984). `align` is then applied to
     the other poses, repeatedly.
 
@@ -423,12 +429,12 @@ SPARE = 3
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
     """Return the geometry with rough base and tool, from which a fit can start.
 
-    Poses, positions and views of a board give both. The positions of the reflector that is seen most often give the
-    base, and with at least three known reflectors also the tool. Other kinds give the nominal geometry.
+    Poses, positions and views of a board give base and tool. The positions of the reflector that is seen most often
+    give the base, and with at least three known reflectors also the tool. Other kinds give the nominal geometry.
 
     Args:
         nominal: The nominal geometry.
-        data: The rows. Of several stations, the first one counts.
+        data: The rows. If there are several stations, the rows of the first station count.
 
     Raises:
         InputError: If the reflector's positions do not fit the arm.
@@ -463,8 +469,8 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
 def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Identification, Sizes]:
     """Identify the geometry from the rows that agree with each other; the result is deterministic.
 
-    If the arm's masses are known, the fitted joints yield under the links' weight. Otherwise the rows with the
-    largest torques would seem to be outliers.
+    If the arm's masses are known and the rows are enough, the fitted joints yield under the links' weight. With stiff
+    joints, the rows with the largest torques would seem to be outliers.
 
     Args:
         arm: The arm.
@@ -486,7 +492,7 @@ def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Ident
 
 
 def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) -> Stacked:
-    """Return data sets as stations of one arm, those with an instrument's frame first.
+    """Return data sets as stations of one arm; data sets whose instrument has a frame come first.
 
     Args:
         arm: The arm.
@@ -614,10 +620,16 @@ def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int)
 
 
 def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp], i: int) -> bool:
-    """Return whether a file can be of the set-up that it joins, by the misses (`PLAUSIBLE`) under each other's frames.
+    """Return whether a file can belong to the set-up that it joins; a file that starts a set-up always can.
 
-    It is enough if one's frames fit the other's rows, since a file may hardly determine its frames. The arm is nominal.
-    ``near`` holds each file's rows and arm from `_near_rows`, by the file's index ``i`` from 0.
+    One of two files, this file or the set-up's first file, must fit the frames of the other. A file fits if its misses
+    are at most `PLAUSIBLE` times its misses under its own frames. One is enough, since a file may hardly determine its
+    frames. The links are nominal.
+
+    Args:
+        near: Rows and arm of each file, from `_near_rows`, by the file's index from 0.
+        groups: The set-ups with the file.
+        i: Index of the file.
     """
 
     def ratio(rows: int, arm: int) -> float:
@@ -635,8 +647,12 @@ def _missed(rows: Measurements, by: Geometry) -> float:
 def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp]) -> float:
     """Compute Schwarz's (Bayesian) information criterion of set-ups, which is smaller for better ones.
 
-    Each file has a separate scatter. The result is infinite if the fit fails. ``near`` holds each file's rows and arm
-    from `_near_rows`, by the file's index from 0; ``groups`` are the set-ups.
+    Each file has a separate scatter. The result is infinite if the fit fails.
+
+    Args:
+        arm: The arm.
+        near: Rows and arm of each file, from `_near_rows`, by the file's index from 0.
+        groups: The set-ups.
     """
     stations = []
     for number, (members, own) in enumerate(groups, start=1):

@@ -59,15 +59,15 @@ def solve(
     """Fit a model's parameters to rows and priors.
 
     Args:
-        model: The parameters with their priors. A scale is the factor on the prior widths of a
-            group of parameters. The solution is averaged over the scales that the model does not state.
+        model: The parameters with their priors. A scale is the factor on the prior widths of a group of parameters.
+            The solution is averaged over the scales that the model does not state.
         data: The rows. If they involve no known length, priors of lengths are not rescaled, because the smallest arm
             would fit best.
         noise: The scatter of the rows; estimated from them when left out.
         near: A solution of the same rows with fewer parameters, to start from.
 
     Returns:
-        The identification. If every parameter has a prior, all are kept, and the covariance is the posterior's.
+        The identification. If every parameter has a prior, all are kept, and the covariance is of the posterior.
 
     Raises:
         InputError: If there are too few rows for parameters without priors, or the fit does not converge.
@@ -123,15 +123,16 @@ def averaged_over_scales(
     Args:
         model: The model, with the scales of the solution.
         solution: The solution at which the model is linearised.
-        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``: those with respect to the
-            measurements' own unknowns come first, those with respect to the P parameters last.
+        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``. The columns of the measurements' own
+            unknowns come first, then the columns of the P parameters.
         residual: Whitened residuals at the solution ``(E,)``.
         free: Names of the groups, some of `MADE`, whose scales are averaged over.
 
     Returns:
         The geometric mean of the scales by group, and a function. The function returns the solution at the averaged
-        posterior's mean, with its covariance. Its argument is the factor on variances of rows that carry less
-        information than independent ones (`pickenv.calibration.model.noise_and_priors.RowNoise.common`).
+        posterior's mean, with the posterior's covariance. The function's argument is the factor on variances of rows
+        that carry less information than independent ones
+        (`pickenv.calibration.model.noise_and_priors.RowNoise.common`).
     """
     count, base = columns.shape[1] - len(model.std), solution.identifiability.kept
     scale = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
@@ -158,7 +159,7 @@ def averaged_over_scales(
         std = np.maximum(np.sqrt(weight @ (logs - mean) ** 2), NARROWEST * std)
 
     def averaged(common: float) -> Identification:
-        """Return the solution at the posterior's mean over all scales, with its covariance.
+        """Return the solution at the posterior's mean over all scales, with the posterior's covariance.
 
         ``common`` is the factor on variances of rows that carry less information than independent ones.
         """
@@ -189,8 +190,8 @@ def averaged_over_scales(
 def covariance_at(found: Identification, data: Observations, share: float) -> Array:
     """Compute the covariance of the kept parameters for rows with a smaller scatter about the arm than in the fit.
 
-    It is the covariance beside a learnt residual. The residual removes the part that errors have in common. The errors
-    that remain are smaller, and rows then count as independent.
+    This is the covariance if a learnt residual is added to the arm. The residual removes the part of the errors that
+    neighbouring rows have in common. The remaining errors are smaller, and rows then count as independent.
 
     Args:
         found: The identification.
@@ -265,9 +266,9 @@ def start_filter(
     """Return the first state of a filter that knows only the nominal arm.
 
     Args:
-        model: Candidate parameters; those that the poses do not identify are left out.
+        model: Candidate parameters. Parameters that the poses do not identify are left out.
         start: Geometry, or geometry with terms, to start from.
-        joints: Joints ``(N, n)``, rad or m, of poses like those to be measured. These poses decide which parameters are
+        joints: Joints ``(N, n)``, rad or m, of poses like the poses to be measured. They decide which parameters are
             identifiable.
         full_pose: False if only positions will be measured.
         prior: Prior standard deviation of each parameter, as a multiple of its tolerance; 10 is 10 mm and 0.6 deg for
@@ -304,8 +305,8 @@ def random_walk(state: FilterState, tolerances: float) -> Array:
 
     Args:
         state: The filter's state.
-        tolerances: Standard deviation of each parameter's drift after one hour, as a multiple of its tolerance. It
-            grows with the square root of time.
+        tolerances: Standard deviation of each parameter's drift after one hour, as a multiple of its tolerance. The
+            drift grows with the square root of time.
     """
     return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / 3600.0)
 

@@ -36,8 +36,8 @@ Places = NDArray[np.int64]
 class Linearised:
     """A linear model of the residual of a fitted geometry, with terms that may be added to the geometry.
 
-    Its parameters are first the fitted ones (of the geometry, and unknowns of the measurements), then the terms'
-    coefficients.
+    The model's parameters are first the fitted parameters (of the geometry, and unknowns of the measurements), then the
+    terms' coefficients.
 
     Attributes:
         arm: The fitted geometry and the terms, all coefficients zero.
@@ -109,7 +109,10 @@ class Linearised:
 
     @cached_property
     def normal(self) -> tuple[Array, Array, Array]:
-        """Normal equations of each of B blocks of rows: A^T A ``(B, P, P)``, A^T r ``(B, P)`` and r^T r ``(B,)``."""
+        """Normal equations of each of B blocks of rows: A^T A ``(B, P, P)``, A^T r ``(B, P)`` and r^T r ``(B,)``.
+
+        A and r are the derivatives and the residual of a block, from `equations`.
+        """
         parts = [self.equations(block) for block in self.blocks]
         matrix = np.stack([columns.T @ columns for columns, _ in parts])
         right = np.stack([residual @ columns for columns, residual in parts])
@@ -190,7 +193,7 @@ ROWS_EACH = 8
 """Number of rows needed for each harmonic."""
 
 WITHIN = 0.03
-"""The fewest harmonics are taken whose error on held-out blocks exceeds the least error by at most this share."""
+"""Share by which the error on held-out blocks may exceed the least error, so that fewer harmonics are taken."""
 
 Harmonic = tuple[int, float, float | None, float, float]
 """An identified harmonic of a joint's drive: joint, order, uncertainty of the order, amplitude, uncertainty of the
@@ -225,7 +228,7 @@ def every_order(geometry: Geometry) -> PeriodicTerm:
 
 
 def nearby(wave: PeriodicTerm) -> PeriodicTerm:
-    """Return a term of the harmonics on a finer grid around those of ``wave``, without repetitions."""
+    """Return a term of the harmonics on a finer grid around the harmonics of ``wave``, without repetitions."""
     around = zip(wave.joints, wave.orders, strict=True)
     return _harmonics(sorted({(joint, round(order + FINE * k, 6)) for joint, order in around for k in range(-2, 3)}))
 
@@ -277,16 +280,19 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
 
 
 def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tuple[list[Places], Places]:
-    """Return column indices of the chosen harmonics, for each block of rows held out and for all blocks together.
+    """Choose harmonics: once without each block of rows, and once on all blocks.
 
     For each block held out, harmonics are chosen one after the other on all other blocks, and judged on this block. The
-    number of harmonics is the smallest one whose error exceeds the least error by at most the share `WITHIN`. Indices
-    are empty if no harmonic reduces the error.
+    number of harmonics is the smallest one whose error exceeds the least error by at most the share `WITHIN`.
 
     Args:
         equations: Normal equations of geometry, other terms and every candidate harmonic.
         base: Indices, from 0, of the columns that are always included.
         candidates: Indices, from 0, of the sine and cosine columns of each candidate ``(M, 2)``.
+
+    Returns:
+        Indices, from 0, of the columns of the chosen harmonics: a list with an array for each block held out, then an
+        array for all blocks. All arrays are empty if no harmonic reduces the error.
     """
     of_each, right_of_each, squares_of_each = equations.normal
     most = min(MOST, sum(len(block.joints) for block in equations.blocks) // ROWS_EACH, len(candidates))
@@ -358,7 +364,7 @@ WARM = 5.0
 """Range of temperatures, K, above which thermal expansion is tried."""
 
 NAMES = ("compliance", "bending", "gravity", "periodic", "thermal")
-"""Terms that can be chosen, in the order of trial; those that need torques or masses come before gravity."""
+"""Terms that can be chosen, in the order of trial; terms that need torques or masses come before gravity."""
 
 
 TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]
@@ -448,9 +454,12 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
 
 
 def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
-    """Return the term of this name, one of `NAMES`; "periodic" has all candidate harmonics.
+    """Return the term of this name.
 
-    "compliance" takes measured torques, or else the weight of the arm's masses; "bending" takes these masses.
+    Args:
+        name: One of `NAMES`. The term "periodic" has all candidate harmonics.
+        arm: The arm. "bending" takes the weight of the arm's masses, as does "compliance" without measured torques.
+        observations: The rows, whose measured torques "compliance" takes.
     """
     geometry = arm.nominal
     if name == "periodic":
@@ -483,7 +492,7 @@ class _Trial:
         names: Names of the terms.
         equations: Normal equations of geometry and terms by block.
         counts: Weights of each block's rows ``(N,)``, smaller for rows of a cluster, because their errors are alike.
-        harmonics: Results of `chosen_orders`, by the names of the terms taken together.
+        harmonics: Results of `chosen_orders`, by the names of the terms taken together; `places` adds them.
     """
 
     bare: Identification
@@ -513,7 +522,8 @@ class _Trial:
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
         """Return indices, from 0, of the parameters that are fitted with the terms ``names``.
 
-        They are given for each block of rows left out, and then for all blocks together.
+        Returns:
+            A list with the indices for each block of rows left out, then the indices for all blocks together.
         """
         model = self.equations
         others = [model.coefficients_of(self.names.index(name)) for name in names if name != "periodic"]
@@ -527,7 +537,10 @@ class _Trial:
         return [np.r_[base, path] for path in paths], np.r_[base, on_all]
 
     def score(self, names: tuple[str, ...]) -> float:
-        """Compute the RMS miss, m, with the named terms over all blocks; each is predicted by a fit to the others."""
+        """Compute the RMS miss, m, over all blocks with the named terms.
+
+        The misses of each block come from a fit to all other blocks.
+        """
         squares, counts = 0.0, 0.0
         for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
             missed = self.equations.misses(block, solved(*self.equations.without(number), places))

@@ -63,10 +63,13 @@ class Conditions:
         return tuple(name for name in ("payload", "temperature") if getattr(self, name) is not None)
 
     def refuse_other_inputs(self, record: Mapping[str, Any]) -> None:
-        """Refuse payload or temperature if a residual was learnt with other conditions.
+        """Refuse these conditions if a residual was learnt with different ones.
 
         Args:
             record: Record of the calibration that has the residual.
+
+        Raises:
+            InputError: If `input_names` is not empty and differs from the names that the residual was learnt with.
         """
         residual = record.get("residual")
         trained = residual.get("conditions") if isinstance(residual, Mapping) else None
@@ -183,8 +186,11 @@ class ArmModel:
     def _by_way(self, joints: ArrayLike, conditions: Conditions, question: Callable[..., Array]) -> Array:
         """Return results ``(N, ...)`` for N rows of a whole robot, computed for one pair of links at a time.
 
-        ``conditions.between`` has the pair of links of each row. ``question`` computes the results of M rows
-        ``(M, ...)`` from the model of the chain between two links, the rows' joints, and their conditions.
+        Args:
+            joints: Joints ``(N, n)``, rad or m.
+            conditions: Conditions of the rows; ``conditions.between`` has the pair of links of each row.
+            question: Function that returns the results of M rows with one pair of links ``(M, ...)``. Its arguments are
+                the model of the chain between these links, the rows' joints, and the rows' other conditions.
         """
         assert conditions.between is not None
         ways, way = np.unique(conditions.between, axis=0, return_inverse=True)
@@ -233,8 +239,8 @@ class ErrorModel:
     """The parameters to identify.
 
     Attributes:
-        columns: Indices into the arm's ``parameter_names`` ``(P,)``, in order of preference: of redundant parameters,
-            the earlier one is kept.
+        columns: Indices into the arm's ``parameter_names`` ``(P,)``, in order of preference: if parameters are
+            redundant, the earlier parameters are kept.
         names: The parameters' names.
         tolerance: Typical deviation of each parameter ``(P,)``, m or rad, by which its Jacobian column is scaled.
     """
@@ -249,7 +255,7 @@ class ErrorModel:
         return ErrorModel(self.columns[kept], names, self.tolerance[kept])
 
     def joined(self, other: ErrorModel) -> ErrorModel:
-        """Return a model of these parameters, followed by those of another model."""
+        """Return a model of these parameters, followed by the parameters of another model."""
         columns, tolerance = np.r_[self.columns, other.columns], np.r_[self.tolerance, other.tolerance]
         return ErrorModel(columns, self.names + other.names, tolerance)
 
@@ -262,8 +268,8 @@ def link_model(geometry: Geometry) -> ErrorModel:
 def complete_model(geometry: Geometry) -> ErrorModel:
     """Return a model that is complete for any serial chain.
 
-    It has base and tool pose, the MDH parameters, and Hayati's beta between parallel axes and for joints whose beta the
-    table gives.
+    The parameters are base and tool pose, the MDH parameters, and Hayati's beta. Beta is included between parallel
+    axes, and for joints whose beta in the table is not zero.
     """
     parallel = (np.abs(np.sin(geometry.alpha)) < NEARLY_PARALLEL) | (geometry.beta != 0.0)
     betas = [f"beta{i}" for i in range(1, geometry.links) if parallel[i]]
@@ -352,10 +358,15 @@ def pose_carrier() -> Arm:
 
 
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
-    """Return the parameters to identify for the arm named ``arm``, whose nominal geometry is ``nominal``.
+    """Return the parameters of an arm to identify.
 
     For the pose carrier (`CARRIER`) they are base and tool pose. Every other arm has the parameters of `link_model` if
-    base and tool are known (``known_frames``), else the parameters of `complete_model`.
+    base and tool are known, else the parameters of `complete_model`.
+
+    Args:
+        arm: The arm's name.
+        nominal: The arm's nominal geometry.
+        known_frames: Whether base and tool are known.
     """
     if arm == CARRIER:
         return frames_model(nominal)

@@ -69,7 +69,7 @@ def direction(vector: Array) -> tuple[Array, Array]:
 
 
 def unit_length(vector: Array) -> tuple[Array, Array]:
-    """Return 1 minus a vector's length, to first order ``(1,)``, and the length's derivative by it ``(1, 3)``."""
+    """Return 1 minus a vector's length, to first order ``(1,)``, and the derivative of the length ``(1, 3)``."""
     return np.array([(1.0 - vector @ vector) / 2.0]), vector[None]
 
 
@@ -127,10 +127,16 @@ class _Point:
 
     @staticmethod
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        """Return first values of a centre A and a zero z, if the distances r of points p from A are read as l = r + z.
+        """Return first values of the centre A ``(3,)`` and of the readings' zero z, m.
 
-        |p|^2 - l^2 = 2 p.A - 2 l z + z^2 - |A|^2. This is linear in A, z and the constant z^2 - |A|^2. Unless z is
-        ``unknown``, it is the stated ``zero``. ``points`` are p ``(N, 3)``, and ``readings`` l ``(N,)``, all in m.
+        A point p at the distance r from A has the reading l = r + z. Thus |p|^2 - l^2 = 2 p.A - 2 l z + z^2 - |A|^2,
+        which is linear in A, z and the constant z^2 - |A|^2.
+
+        Args:
+            points: The points p ``(N, 3)``, m.
+            readings: Their readings l ``(N,)``, m.
+            zero: The stated zero, m, which is z unless z is unknown.
+            unknown: Whether z is unknown.
         """
         middle, begin = points.mean(axis=0), float(readings.mean()) if unknown else zero
         p, length = points - middle, readings - begin
@@ -163,10 +169,16 @@ class _Plane(_Point):
 
     @staticmethod
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        """Return first values of the plane's numbers, and ``zero``, m, unchanged.
+        """Return first values of the plane's numbers, and the unchanged ``zero``, m.
 
-        The normal is the shortest axis of the points ``(N, 3)``, or the direction along which the readings ``(N,)``
-        grow, whichever explains the readings better. ``unknown`` has no effect.
+        There are two candidates for the normal: the shortest axis of the points, and the direction along which the
+        readings grow. The normal is the candidate that explains the readings better.
+
+        Args:
+            points: The points ``(N, 3)``, m.
+            readings: Their readings ``(N,)``, m.
+            zero: The stated zero, m.
+            unknown: Without effect for a plane.
         """
         shortest = _normal(points)
         matrix = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])
@@ -405,9 +417,10 @@ class DistanceObservations(Observations):
         return np.einsum("ni,nip->np", along, by_model), np.hstack([by_own, np.einsum("ni,nij->nj", along, by_tip)])
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """Return G equations of the surface's numbers: for a plane, that its normal has length one; for a point none.
+        """Return the G equations of the surface's numbers.
 
-        A plane's equation is weighted as strongly as all readings together.
+        A plane has one equation: its normal has length one. A point has none. The equation is weighted as strongly as
+        all readings together.
 
         Args:
             numbers: All of the instrument's numbers ``(K,)``.
@@ -593,8 +606,8 @@ class TiltObservations(Observations):
     def start(self, model: ArmModel) -> Array:
         """Return starting values of the unknown axes and down direction, each of length one.
 
-        A reading is linear in the products of an axis' components with those of down. The matrix of these products has
-        rank one.
+        A reading is linear in the products of an axis' components with the components of down. The matrix of these
+        products has rank one.
         """
         rotation, count = model.pose(self.joints, self.conditions).rotation, self.components.shape[1]
         values = self.numbers.values.copy()

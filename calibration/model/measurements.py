@@ -26,7 +26,7 @@ from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANC
 from pickenv.calibration.model.observations import Observations, Origins, Rows, hash_of, origins_of, worked_out
 
 OWN_CONDITIONS = ("temperature_degC", "payload_kg")
-"""Columns of pickenv's own CSV format besides those of joints and poses."""
+"""Columns of pickenv's own CSV format besides the columns of joints and poses."""
 ROOM_TEMPERATURE = 20.0
 """Temperature that counts as the reference if none is given, degC."""
 POSITION_STD = 15e-6
@@ -126,7 +126,10 @@ class Measurements(Observations):
         return self.difference(model)[:, :3]
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Return row (index from 0) and channel of each equation ``(E,)``; positions are channel 0, attitudes 1."""
+        """Return the row (index from 0) and the channel of each equation, both ``(E,)``.
+
+        Positions are channel 0, and attitudes channel 1.
+        """
         channels = np.repeat([0, 1], 3)[: self.rows_per_pose]
         return np.repeat(np.arange(len(self)), self.rows_per_pose), np.tile(channels, len(self))
 
@@ -153,7 +156,7 @@ class Measurements(Observations):
         return hash_of(self.joints, self.position, *([] if self.rotation is None else [self.rotation]))
 
     def table(self) -> tuple[list[str], Array]:
-        """Return column names with units, and the values in those units, one row per pose.
+        """Return the names of the columns with their units, and the table of values in these units, one row per pose.
 
         Known payloads and temperatures have columns. Torques have none, since pickenv's CSV format cannot hold them.
         """
@@ -381,7 +384,7 @@ class Stacked(Observations):
     If unknowns of several stations have the same name, they are one unknown.
 
     Attributes:
-        stations: The stations; those whose instrument has a frame come first.
+        stations: The stations. Stations whose instrument has a frame come first.
     """
 
     stations: tuple[InstrumentStation, ...]
@@ -458,7 +461,7 @@ class Stacked(Observations):
         return np.concatenate([part.rows_of_misses + first for part, first in rows])
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Return the indices, from 0, of row and channel of each equation ``(E,)``; no two stations share a channel."""
+        """Return the row and the channel of each equation, both indices from 0 ``(E,)``; stations share no channel."""
         parts = [part.equations() for part in self.parts]
         rows = [np.where(row >= 0, row + first, -1) for (row, _), first in zip(parts, self._first_rows(), strict=True)]
         return np.concatenate(rows), _numbered([channels for _, channels in parts])
@@ -482,7 +485,7 @@ class Stacked(Observations):
         return [np.array([place[name] for name in station.unknowns()], dtype=int) for station in self.stations]
 
     def _of_all(self, parts: Sequence[Array]) -> Array:
-        """Return one array over the unknowns of all stations, from an array of each station's unknowns."""
+        """Return one array over the unknowns of all stations ``(u,)``, from one array over each station's unknowns."""
         values = np.zeros(len(self.unknowns()))
         for places, part in zip(self._places, parts, strict=True):
             values[places] = part
@@ -525,10 +528,13 @@ class Stacked(Observations):
         return replace(self, stations=tuple(replace(self.stations[i], data=data[i]) for i in used))
 
     def weighed(self, scales: Array) -> Self:
-        """Return the data set with each station's ``scale`` multiplied by its scatter, relative to the first station's.
+        """Return the data set with its stations weighed by their scatter, relative to the first station.
+
+        A station's scatter is the scatter of its first channel. Each station's ``scale`` is multiplied by the station's
+        scatter, and divided by the first station's scatter.
 
         Args:
-            scales: Scatter of each channel ``(C,)``, that is of the readings of one instrument in one unit.
+            scales: Scatter of each channel ``(C,)``. A channel holds readings of one unit and one uncertainty.
         """
         factors = scales[self._first_channels()].tolist()
         stations = zip(self.stations, factors, strict=True)
@@ -589,7 +595,7 @@ class Stacked(Observations):
 
 
 def rows_together(parts: Sequence[Measurements]) -> Measurements:
-    """Join data sets into one, with those conditions that all of them recorded.
+    """Join data sets into one, with the conditions that all of them recorded.
 
     Args:
         parts: The data sets, which `Measurements.joinable` accepts.

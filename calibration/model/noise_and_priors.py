@@ -1,12 +1,12 @@
 """What a fit weighs: the noise of measurements about a fitted model, and the priors of an arm's parameters.
 
-A channel is the readings of one instrument in one unit. Its scatter is estimated, whatever uncertainty was stated.
-Errors that a model cannot express are alike at neighbouring joints. Their length scale and share of the variance
-maximise the marginal likelihood of a Gaussian process on the residuals (Rasmussen and Williams 2006, eq 5.8). A group
-of n rows with equal errors carries as much information as one row of variance (1 - share + share n) / n. So rows of a
-cluster weigh less than isolated rows, and the common error widens the posterior (a sandwich covariance: White 1982).
-Equations of one picture share the error of its pose; the size of that error is estimated by expectation maximisation
-(Laird and Ware 1982).
+A channel is the readings of one instrument in one unit. The scatter of each channel is estimated, whatever uncertainty
+was stated. Errors that a model cannot express are alike at neighbouring joints. Their length scale and share of the
+variance maximise the marginal likelihood of a Gaussian process on the residuals (Rasmussen and Williams 2006, eq 5.8).
+A group of n rows with equal errors carries as much information as one row of variance (1 - share + share n) / n. So
+rows of a cluster weigh less than isolated rows, and the common error widens the posterior (a sandwich covariance: White
+1982). Equations of one picture share the error of the picture's pose; the size of this error is estimated by
+expectation maximisation (Laird and Ware 1982).
 
 A prior is the knowledge of a parameter before anything was measured: mean, standard deviation, and source. Every
 parameter has a prior. The prior's width (standard deviation) limits how far a fit moves the parameter. Lengths and
@@ -50,7 +50,7 @@ STATED = 3.0
 """Weight of a channel's stated uncertainty in its estimated scatter, as a number of equations."""
 
 USUAL = 0.75
-"""Quantile of the neighbour counts that is taken as the usual count; a cluster of rows counts as one row in it."""
+"""Quantile of the neighbour counts that is taken as the usual count; a cluster of rows counts as one row."""
 
 FREE = 0.25
 """Share of the rows that keep full weight when rows are weighed by their neighbours; a cluster counts as one row."""
@@ -59,7 +59,7 @@ WORTH = 3.0
 """Log-likelihood ratio above which neighbours count as having like errors."""
 
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
-"""Largest numbers of equally spaced rows, for the fit of length and share, and to search for neighbours."""
+"""Largest number of equally spaced rows: to fit the share in common and its length scale, and to count neighbours."""
 
 LEAST_SPARE = 0.05
 """Least share of an equation that counts as a degree of freedom of the scatter, however large its leverage is."""
@@ -79,7 +79,7 @@ class RowNoise:
         shared: One entry per row whose m equations share the error of one pose. An entry has the indices, from 0, of
             these equations, orthonormal directions of the shared error in the equations' space ``(m, 6)``, and the
             share of each direction that whitening removes ``(6,)``.
-        pose_std: Standard deviation of that shared error per axis: position, m, and attitude, rad.
+        pose_std: Standard deviation of the shared pose error per axis: position, m, and attitude, rad.
     """
 
     scatter: Array
@@ -106,7 +106,7 @@ class RowNoise:
 
 
 def stated_noise(data: Observations) -> RowNoise:
-    """Return the noise by the standard uncertainties that the data state, without errors shared between rows."""
+    """Return the noise that the data state by their standard uncertainties; rows share no errors."""
     rows, channels = data.equations()
     return RowNoise(np.ones(len(rows)), np.ones(int(channels.max(initial=0)) + 1))
 
@@ -219,10 +219,17 @@ def _of_pictures(
 ) -> RowNoise:
     """Estimate the noise of each channel, and the pose error common to a row's equations, if rows have many equations.
 
-    For each of the E equations, ``tool`` has the derivatives with respect to the tool's pose ``(E, 6)``, ``residual``
-    the whitened residual, ``rows`` and ``channels`` the indices of row and channel, ``leverage`` the leverage, and
-    ``many`` whether the row has more than `POSE` equations. The standard deviations of equations, ``scatter`` ``(E,)``,
-    and of channels, ``sizes`` ``(C,)``, are changed in place.
+    The function changes ``scatter`` and ``sizes`` in place.
+
+    Args:
+        tool: Whitened derivatives of each equation with respect to the tool's pose ``(E, 6)``.
+        residual: Whitened residual of each equation ``(E,)``.
+        rows: Index, from 0, of each equation's row ``(E,)``; -1 for an equation without a row.
+        channels: Index, from 0, of each equation's channel ``(E,)``.
+        many: Whether each equation's row has more than `POSE` equations ``(E,)``.
+        leverage: Leverage of each equation ``(E,)``, 0 to 1.
+        scatter: Standard deviation of each equation ``(E,)``, in stated standard uncertainties.
+        sizes: Standard deviation of each channel ``(C,)``, in stated standard uncertainties.
     """
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
     channel = np.array([channels[at[0]] for at in places])
@@ -254,8 +261,8 @@ def _of_pictures(
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
-"""Choices of the parameters that a fit may move: "auto" for all within their priors, "offsets" for joint zeros and an
-unknown base and tool, "full" for all without priors."""
+"""Choices of the parameters that a fit may move. "auto": all parameters, with priors. "offsets": joint zeros, and base
+and tool if these are unknown. "full": all parameters, without priors."""
 
 TOLERANCE_CLASS = "cobot"
 """Default tolerance class of an arm's parts."""
@@ -264,7 +271,7 @@ FRAME_STD = 10.0
 """Standard deviation of a frame's coordinates about its aligned pose, m and rad: too wide to carry information."""
 
 TOLD = 0.1
-"""Limit up to which the rows determine a parameter of base or tool, as a share of `FRAME_STD`."""
+"""Largest standard deviation of a base or tool parameter that the rows determine, as a share of `FRAME_STD`."""
 
 ANY_STIFFNESS = 100.0
 """Prior standard deviation of a compliance, in tolerances: any stiffness above 100 N*m/rad or 1 kN/m is plausible."""
@@ -414,7 +421,8 @@ def prior_model(
 def expected_sizes(model: ArmModel) -> Array:
     """Return prior standard deviations of the terms' coefficients ``(k,)``, as multiples of their tolerances.
 
-    They are 1, which is 1 mm or 1 mrad at the tool, but `ANY_STIFFNESS` for compliances.
+    The multiple is `ANY_STIFFNESS` for compliances. For all other coefficients it is 1, which moves the tool by about
+    1 mm or turns it by about 1 mrad.
     """
     sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else 1.0 for term in model.terms]
     return np.repeat(sizes, [len(term.names(model.geometry)) for term in model.terms])
@@ -424,11 +432,12 @@ def never_told(names: Sequence[str], covariance: Array) -> list[str]:
     """Return the names of base and tool parameters that the rows of a fit do not determine.
 
     An example is the tool's attitude if only positions were measured. The posterior of such a parameter is as wide as
-    its prior: metres, or turns. It is narrower if an unknown of the data, such as a wire's hook, shares the prior.
+    its prior: metres, or turns. The posterior is somewhat narrower than the prior if an unknown of the data, such as a
+    wire's hook, has the same effect as the parameter.
 
     Args:
         names: Names of the identified parameters, p of them.
-        covariance: Their posterior covariance ``(p, p)``, m and rad.
+        covariance: Posterior covariance of these parameters ``(p, p)``, m and rad.
     """
     wide = np.diag(covariance) > (TOLD * FRAME_STD) ** 2
     return [name for name, free in zip(names, wide, strict=True) if free and name.startswith(("base_", "tool_"))]

@@ -39,10 +39,10 @@ class Clocks:
         moment: Time on the instrument's clock, within the recording, at which the clocks differ by ``offset``, s.
         offset: Reading of the instrument's clock at ``moment`` minus the reading of the joint log's clock, s.
         offset_std: Standard uncertainty of ``offset``, s.
-        rate: Share by which the instrument's clock runs faster than the joint log's; 1e-6 is one part in a million.
+        rate: Share by which the instrument's clock runs faster than the joint log's clock; 1e-6 is one in a million.
         rate_std: Standard uncertainty of ``rate``.
         expected_rate_std: Prior standard uncertainty of ``rate``, before the recording is used.
-        still: True if each row is a mean over a rest of the arm, False if it is a single sample of its motion.
+        still: True if each row is a mean over a time of rest, False if each row is one sample of the arm's motion.
         rows: Number of rows that the recording gave.
     """
 
@@ -170,7 +170,7 @@ class Stated:
 
     @property
     def _known(self) -> Rows:
-        """Indices, from 0 among the fitted numbers, of those with a finite uncertainty."""
+        """Indices of the fitted numbers with a finite uncertainty, counted from 0 among the fitted numbers."""
         return np.flatnonzero(np.isfinite(self.std[self.free]))
 
     def unknowns(self) -> tuple[str, ...]:
@@ -178,7 +178,7 @@ class Stated:
         return tuple(self.names[i] for i in self.free)
 
     def start(self) -> Array:
-        """Return stated values ``(u,)`` of the fitted numbers."""
+        """Return the stated values of the fitted numbers ``(u,)``."""
         return self.values[self.free]
 
     def whole(self, unknowns: Array) -> Array:
@@ -213,8 +213,8 @@ class Observations:
 
     A row is what was measured at one joint vector. The defaults here suit most kinds: a split may fall anywhere, and
     each row gives one miss (measured minus predicted readings). A kind defines its misses, and their derivatives with
-    respect to the arm and to the numbers of its instrument. A data set has equations of its misses, then of the
-    numbers' stated values, then further equations among the numbers (`bonds`).
+    respect to the arm and to the numbers of its instrument. The equations of the misses come first, then the equations
+    of the numbers' stated values, then further equations among the numbers (`bonds`).
 
     Attributes:
         joints: Joints ``(N, n)``, rad or m.
@@ -227,7 +227,7 @@ class Observations:
         per_row: Names of the arrays that hold one entry per row, beside the joints.
         width: Number of equations of each miss.
         miss_unit: Unit of `misses` on screens: "mm" for metres, "deg" for radians.
-        rounding: Largest change of a reading, in m, rad or px, if it is rounded to 0.01 mm or 0.001 deg. An instrument
+        rounding: Largest change of a reading, in m, rad or px, by rounding it to 0.01 mm or 0.001 deg. An instrument
             that rounds in this way is taken to scatter by three times this change. A pose that is measured again then
             gives the same reading with a probability of 0.2.
         stations: The `InstrumentStation` of each data set, if several are stacked for one fit (`Stacked`); else empty.
@@ -342,7 +342,10 @@ class Observations:
         return hash_of(self.joints, self.readings())
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Return the derivatives ``(E, 6)`` of the whitened equations with respect to the tool's pose, in its axes."""
+        """Return the whitened derivatives of the equations with respect to the tool's pose ``(E, 6)``.
+
+        The pose is in the last link's frame. Its changes are in the last link's axes, m and rad.
+        """
         return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
 
     def channels_of(self, other: Observations) -> Rows:
@@ -390,9 +393,9 @@ class Observations:
         return np.arange(len(self.joints))
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Return the indices, from 0, of row and channel of each of the E equations of `residual`, both ``(E,)``.
+        """Return the row and the channel of each equation of `residual`, both as indices from 0 ``(E,)``.
 
-        The row is -1 if an equation belongs to none. A channel holds readings of one unit and one uncertainty;
+        The row is -1 if an equation belongs to no row. A channel holds readings of one unit and one uncertainty;
         positions and attitudes of poses are two channels. By default all equations are in channel 0. The equations of
         the misses come first. The equations of the instrument's numbers follow; they belong to no row.
         """
@@ -418,7 +421,7 @@ class Observations:
         return np.concatenate([self.whitened(model, numbers).ravel(), statements, self.bonds(numbers)[0]])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Return whitened derivatives with respect to arm parameters ``(E, 5n + 12 + k)`` and unknowns ``(E, u)``.
+        """Return minus the derivatives of `residual`, by arm parameters ``(E, 5n + 12 + k)`` and unknowns ``(E, u)``.
 
         The arm has 5n + 12 geometric parameters and k coefficients of terms.
         """
@@ -456,7 +459,7 @@ class Observations:
 
 
 def hash_of(*parts: Array) -> str:
-    """Return one hash over all arrays, rounded to 1e-9 m or rad; it is equal for a copy read from a CSV file."""
+    """Return one hash over all arrays, rounded to 1e-9 m or rad; a copy read from a CSV file has the same hash."""
     integers = [np.rint(part * 1e9).astype(np.int64) for part in parts]
     return hashlib.sha256(b"".join(part.tobytes() for part in integers)).hexdigest()[:16]
 
@@ -504,7 +507,7 @@ SAME_POSE = 2e-4
 reached again, or written with two decimals, differ by less."""
 
 PATH = 10 * SAME_POSE
-"""Extent of a chain of near rows, rad or m, above which it is a path that was followed slowly, and not a pose."""
+"""Extent of a chain of near rows, rad or m, above which the chain is a slowly followed path and not a pose."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:
@@ -515,8 +518,8 @@ def equally_spaced(rows: int, most: int) -> Rows:
 def same_poses(joints: Array) -> Rows:
     """Return the number of each row's pose ``(N,)``; poses are numbered from 0 in the order of their first rows.
 
-    Rows whose joints all differ by `SAME_POSE` or less are of one pose, and so are chains of such rows. A chain that
-    extends over more than `PATH` is a slow path rather than a pose; it is cut into cells of `SAME_POSE`.
+    Rows whose joints all differ by `SAME_POSE` or less are of one pose. A chain of such rows is one pose, too. A chain
+    that extends over more than `PATH` is a slow path rather than a pose; it is cut into cells of `SAME_POSE`.
 
     Args:
         joints: Joints ``(N, n)``, rad or m.
@@ -667,9 +670,9 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
 
 
 def home_groups(groups: Rows, poses: Rows) -> Rows:
-    """Return one group for all rows of a pose ``(N,)``, so that a split by groups keeps poses whole.
+    """Return, for each row, the group of the first row of the same pose ``(N,)``.
 
-    It is the group of the pose's first row.
+    All rows of a pose then have one group, so a split by groups keeps poses whole.
 
     Args:
         groups: Group of each row ``(N,)``.

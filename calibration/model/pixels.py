@@ -1,10 +1,10 @@
 """Pixels of a target's points, in pictures of a camera that is on the arm's tool or watches a target on the tool.
 
 A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is the
-target's frame if the camera is on the tool. It is the camera's frame if the camera watches a target on the tool. Of
-camera and target, one is fixed in the world, and the other is on the flange. The fitted base gives the pose of the
-fixed object, and the fitted tool the pose of the object on the flange. The only unknowns of this kind are the numbers
-of the lens, if they are fitted. SI units; pictures in px.
+target's frame if the camera is on the tool. It is the camera's frame if the camera watches a target on the tool. One
+of the two objects, camera and target, is fixed in the world, and the other is on the flange. The fitted base gives the
+pose of the fixed object, and the fitted tool the pose of the object on the flange. The only unknowns of this kind are
+the numbers of the lens, if they are fitted. SI units; pictures in px.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def distorted(values: Array, ideal: Array) -> Array:
 
 
 def undistorted(values: Array, pixels: Array) -> Array:
-    """Return the slopes x / z and y / z ``(..., 2)``, without distortion, of the rays that the lens maps to pixels.
+    """Return the slopes x / z and y / z of the rays that the lens maps to pixels, before its distortion ``(..., 2)``.
 
     The distortion is inverted by 30 steps of fixed-point iteration.
 
@@ -319,14 +319,14 @@ LEAST_SPREAD = 0.05
 """Least spread of a view's corners across the line that fits them best, as a share of the spread along it."""
 
 TRIED, STEPS = 4, 12
-"""Number of starting attitudes that are refined, out of the 24 rotations of a cube, and number of refinement steps."""
+"""Number of starting poses that are refined, out of 24 (the rotations of a cube), and number of refinement steps."""
 
 
 def board_poses(data: PixelObservations) -> Pose:
     """Return the board's pose in the camera's frame in each view ``(V,)``, fitted to the viewing rays of its points.
 
-    The fit takes Gauss-Newton steps. Starts are the 24 rotations of a cube, each with the position of least
-    distances between points and rays. Steps are taken from the best `TRIED` starts.
+    The board starts in each of the 24 rotations of a cube. Its position then minimises the squared distances between
+    points and rays. Gauss-Newton steps refine the best `TRIED` of these starts.
 
     Args:
         data: Views with at least four corners each, not all in one line.

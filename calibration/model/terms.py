@@ -31,9 +31,9 @@ ORDER_TOLERANCE = 0.25
 class ComplianceTerm(JointTerm):
     """Joint compliance: deflection dq = c tau under torque tau, with c = 1/k per joint (rad/(N*m) or m/N).
 
-    The torque is the measured one if the data contain torques. Otherwise it is the gravity torque from ``moments``, the
-    links' masses and first moments times g. The moments are fitted to measured torques, or come from the masses in the
-    arm's file.
+    The torque is the measured torque if the data contain torques. Otherwise it is the gravity torque from ``moments``,
+    the links' masses and first moments times g. The moments are fitted to measured torques, or come from the masses in
+    the arm's file.
 
     Attributes:
         joints: Indices of the compliant joints, from 0.
@@ -179,8 +179,8 @@ class GravityTerm(JointTerm):
 
     The torque tau on a joint is linear in the mass m and the first moments m r of every link that the joint carries. So
     the deflection c tau is linear in c m and c m r. Each pair of a joint and a moment has one coefficient (rad/m, or m
-    for prismatic joints). Most coefficients are redundant, and the solver's rank decision drops them. A recorded
-    payload adds one more coefficient per joint (rad/(kg*m)), for the payload's torque.
+    for prismatic joints). Most coefficients are redundant: their priors keep them small, or the solver's rank decision
+    drops them. A recorded payload adds one more coefficient per joint (rad/(kg*m)), for the payload's torque.
 
     Attributes:
         joints: Indices of the compliant joints, from 0.

@@ -72,8 +72,8 @@ def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.rand
     """Draw joints within their limits at which the instrument can read something.
 
     Half of the trials are drawn from the joint ranges. The other half are drawn near joints at which the instrument is
-    known to read something, because a board is seen from few poses. Known joints are those of measured rows, and later
-    also those found here.
+    known to read something, because a board is seen from few poses. At first these are the joints of the measured rows.
+    Every round adds the joints that it finds.
 
     Args:
         geometry: The nominal arm.
@@ -103,7 +103,7 @@ def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.rand
 def measurable(
     first: First, joints: Array, geometry: Geometry, *, move: bool = True
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Move joints to values at which the instrument can read something, and mark those at which it can.
+    """Move joints to values at which the instrument can read something, and mark the joints for which this succeeds.
 
     Args:
         first: The instrument, from `first_rows`.
@@ -112,7 +112,7 @@ def measurable(
         move: Whether the joints may be moved; otherwise they are judged unmoved, with a tolerance of 1 mm.
 
     Returns:
-        The joints ``(N, n)``, rad or m, and a mask ``(N,)`` of those at which the instrument can read something.
+        The joints ``(N, n)``, rad or m, and a mask ``(N,)`` of joints at which the instrument can read something.
     """
     data, _, _ = first
     if data.views is not None:
@@ -210,7 +210,7 @@ def plan_like(
         data: The first rows, of one kind.
         count: Number of poses to measure.
         rng: Draws candidates, the order of exchanges, and the random sets of poses that the plan is compared with.
-        candidates: Joints to choose from ``(N, n)``, rad or m; those at which nothing can be read are left out. Or
+        candidates: Joints to choose from ``(N, n)``, rad or m; joints at which nothing can be read are left out. Or
             the number of candidates to draw.
         lines: Line, from 1, of each given candidate in its file ``(N,)``; None if the candidates come from no file.
         criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
@@ -268,8 +268,13 @@ def plan_like(
 def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel | None) -> plan.Design:
     """Return the design of the candidates, with the information of the first rows and of the priors as known.
 
-    The design covers all parameters if they have priors, else a largest subset of identifiable ones. ``first`` is the
-    instrument (`first_rows`), and ``joints`` are the candidates ``(N, n)``, rad or m.
+    The design covers all parameters if they have priors, else a largest subset of identifiable ones.
+
+    Args:
+        geometry: The nominal arm.
+        first: The instrument, from `first_rows`.
+        joints: The candidates ``(N, n)``, rad or m.
+        prior: The arm's parameters with their priors, or None.
     """
     data, there, unknowns = first
     count = len(unknowns)
@@ -302,8 +307,11 @@ def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel |
 def _scaled(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
     """Return the whitened, scaled Jacobian ``(E, own + P)``: the instrument's own unknowns, then P arm parameters.
 
-    The Jacobian is taken at the arm and unknowns in ``first`` (`first_rows`). Each column is multiplied by the typical
-    deviation of its parameter in ``scale`` ``(own + P,)``.
+    Args:
+        first: The instrument, from `first_rows`; the Jacobian is taken at its arm and unknowns.
+        data: Rows of the instrument.
+        model: The arm's P parameters.
+        scale: Typical deviation of each unknown and parameter ``(own + P,)``, by which its column is multiplied.
     """
     by_arm, by_own = data.jacobian(*first[1:])
     return np.asarray(np.hstack([by_own, by_arm[:, model.columns]]) * scale)
@@ -313,7 +321,7 @@ def _by_pose(first: First, data: Observations, model: ErrorModel, scale: Array) 
     """Return the whitened, scaled Jacobian of each pose ``(N, r, own + P)``, without equations that belong to no row.
 
     r is at most 6 + own, since a pose has six components and the instrument has ``own`` unknowns. If there are more
-    equations, such as those of a board's corners, they are replaced by 6 + own equations with the same information.
+    equations, as for a board's corners, they are replaced by 6 + own equations with the same information.
     """
     matrix, (row, _) = _scaled(first, data, model, scale), data.equations()
     matrix, row = matrix[row >= 0], row[row >= 0]

@@ -139,7 +139,7 @@ def travel_seconds(joints: Array, speed: Array) -> float:
 def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
     """Return a short tour of the poses as their indices, from 0, in the order of visits ``(N,)``.
 
-    It is the best of several nearest-neighbour tours after 2-opt. The arguments are those of `move_seconds`.
+    The tour is the best of several nearest-neighbour tours after 2-opt. The arguments are those of `move_seconds`.
     """
     cost = move_seconds(joints, speed)
     ways = [_two_opt(_nearest_neighbours(cost, start), cost) for start in range(min(len(joints), 10))]
@@ -161,8 +161,11 @@ def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
 def _two_opt(way: NDArray[np.int64], cost: Array) -> NDArray[np.int64]:
     """Return a shorter tour: while a reversal saves time, the stretch whose reversal saves the most is reversed.
 
-    The first and the last pose may change. A tour ``way`` ``(N,)`` holds indices of poses, from 0, in the order of
-    visits; ``cost`` ``(N, N)`` holds the times of the moves between each two poses, s.
+    The first and the last pose may change.
+
+    Args:
+        way: The tour as indices of poses, from 0, in the order of visits ``(N,)``.
+        cost: Times of the moves between each two poses ``(N, N)``, s.
     """
     count = len(way)
     if count < 3:
@@ -205,8 +208,8 @@ class Design:
         rows: Weighted, scaled Jacobians of the candidates with respect to the parameters ``(N, r, p)``, an instrument's
             own unknowns first.
         model: The arm's parameters, which come last among the columns.
-        weight: One over the standard uncertainty of each row ``(r,)``; empty if the plan builds on rows that an
-            instrument measured before.
+        weight: One over the standard uncertainty of each component of a pose ``(r,)``; empty if the plan builds on rows
+            that an instrument measured before.
         kind: "pose" (r = 6), "position" (r = 3), or the kind of an instrument's rows.
         known: Information ``(p, p)`` that exists already, from priors and from rows measured before.
         names: Names of an instrument's own unknowns.
@@ -233,22 +236,22 @@ class PosePlan:
         chosen: Indices, from 0, of these poses among the candidates.
         design: The candidates.
         criterion: "d-optimal" or "test-poses".
-        travel_seconds: Time of the moves in measuring order, joints moving together at the arm's speeds, s.
+        travel_seconds: Time of the moves in measuring order, s. All joints move together, at the arm's speeds.
         random_travel_seconds: Time of the moves in random order, mean of 20 orders, s.
         predicted_error: RMS position error to expect from the parameters' uncertainty, m; None if there are neither
             test poses nor priors nor rows measured before the plan.
-        random_predicted_error: The error to expect from as many poses drawn at random, median of 20 sets, m; or None.
+        random_predicted_error: The same error for as many poses drawn at random, median of 20 sets, m; or None.
         where: The poses at which these errors are predicted, in words.
         passes: Number of rounds of exchange.
-        model: Observability of the parameters that the plan is to determine, and the same for as many random poses (for
-            JSON). None if the plan builds on rows that an instrument measured before.
-        arm: Observability of the arm's own parameters with base and tool known, as papers state it. None if the plan
-            builds on such rows, or if the poses are too few to determine all these parameters without priors.
+        model: Observability of the parameters that the plan is to determine, with the planned poses and with as many
+            random poses, for JSON. None if the plan builds on rows that an instrument measured before.
+        arm: Observability of the arm's own parameters with base and tool known, as papers state it. None if ``model``
+            is None, or if the poses are too few to determine all these parameters without priors.
         first: Number of rows measured before the plan.
         seconds: Time that the planning took, s.
         lines: Lines, from 1, of the poses in the file of candidates; None if the candidates were drawn.
-        curve: For several numbers of poses: the number, the error to expect with this many planned poses, m, and with
-            this many random poses, m.
+        curve: Three values for each of several numbers of poses: the number; the error to expect with this many planned
+            poses, m; and the error to expect with this many random poses, m.
     """
 
     joints: Array
@@ -362,15 +365,15 @@ def design_of(
 ) -> Design:
     """Return the design of the candidates, for all parameters if these have priors, else for an identifiable base set.
 
-    The base set is chosen by pivoted QR: of parameters with the same effects, the one with the largest effect is kept.
-    The D-optimal poses do not depend on which one is kept; their condition number does.
+    The base set is chosen by pivoted QR: if parameters have the same effects, the parameter of the largest effect is
+    kept. The D-optimal poses do not depend on this choice. Their condition number does.
 
     Args:
         geometry: The nominal arm.
         model: The parameters, with or without priors.
         joints: Candidates ``(N, n)``, rad or m.
         kind: What will be measured, "pose" or "position".
-        position_std: Standard uncertainty of a position coordinate, m; that of an attitude is `ATTITUDE_STD`.
+        position_std: Standard uncertainty of a position coordinate, m; for an attitude it is `ATTITUDE_STD`.
     """
     parameters = model.parameters if isinstance(model, PriorModel) else model
     weight = 1.0 / np.repeat([position_std, ATTITUDE_STD], 3)[: 6 if kind == "pose" else 3]
@@ -386,10 +389,13 @@ def design_of(
 
 
 def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -> Array:
-    """Return the weighted, scaled Jacobians ``(N, r, p)`` of N poses with respect to the p parameters of ``model``.
+    """Return the weighted, scaled Jacobians of poses ``(N, r, p)``.
 
-    ``weight`` ``(r,)`` has the weights of a pose's first r components: 3 for positions, 6 for full poses. The
-    parameters' tolerances scale the columns.
+    Args:
+        geometry: The nominal arm.
+        model: The p parameters, whose tolerances scale the columns.
+        weight: Weights of a pose's first r components ``(r,)``: 3 for positions, 6 for full poses.
+        joints: Joints of the poses ``(N, n)``, rad or m.
     """
     jacobian = parameter_jacobian(geometry, joints)[:, : len(weight), model.columns]
     return np.asarray(jacobian * model.tolerance * weight[:, None])
@@ -427,8 +433,8 @@ def plan_poses(
 ) -> PosePlan:
     """Choose ``count`` poses to measure, and order them for short travel.
 
-    If parameters have priors, the predicted error is that of the posterior, as `pickenv.calibrate` states it. If base
-    and tool are fitted, the part of the error that base and tool can absorb is left out.
+    If parameters have priors, the predicted error is the error of the posterior, as `pickenv.calibrate` states it. If
+    base and tool are fitted, the part of the error that base and tool can absorb is left out.
 
     Args:
         arm: The arm, with joint limits and speeds.
@@ -445,7 +451,7 @@ def plan_poses(
             out, "test-poses" if ``test_joints`` are given, else "d-optimal".
         test_joints: Joints at which accuracy matters ``(M, n)``, rad or m; with "d-optimal" they serve only to predict
             the error.
-        position_std: Standard uncertainty of a position coordinate, m; that of an attitude is `ATTITUDE_STD`.
+        position_std: Standard uncertainty of a position coordinate, m; for an attitude it is `ATTITUDE_STD`.
         curve: Whether to predict the error also for half, twice, four and eight times as many poses. It is predicted at
             ``test_joints`` or, without them, at poses drawn uniformly from the joint ranges.
 
@@ -573,11 +579,16 @@ def _observed(design: Design, rows: Array) -> dict[str, float]:
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> dict[str, Any]:
-    """Compare the observability of the planned poses with that of random sets, as values for JSON.
+    """Compare the observability of the planned poses with the observability of random sets, as values for JSON.
 
     The random set with the median condition number represents all random sets. The O1 ratio is relative to the mean O1
-    of all random sets. ``chosen`` are the planned poses' indices, from 0, among the candidates, and ``sets`` the joints
-    of the random sets ``(DRAWS, count, n)``, rad or m.
+    of all random sets.
+
+    Args:
+        geometry: The nominal arm.
+        design: The candidates.
+        chosen: Indices, from 0, of the planned poses among the candidates.
+        sets: Joints of the random sets ``(DRAWS, count, n)``, rad or m.
     """
     rows = (_rows(geometry, design.model, design.weight, joints) for joints in sets)
     random_sets = sorted((_observed(design, part) for part in rows), key=itemgetter("condition"))
@@ -601,7 +612,13 @@ def _least(design: Design) -> int:
 
 
 def plan_sizes(count: int, least: int, most: int) -> list[int]:
-    """Return numbers of poses: half (at least ``least``), one, two, four and eight times ``count``, up to ``most``."""
+    """Return the numbers of poses for a plan's curve: half, one, two, four and eight times the planned number.
+
+    Args:
+        count: The planned number.
+        least: Least number of poses, which replaces half of the planned number if that is smaller.
+        most: Largest number of poses; larger numbers are left out.
+    """
     sizes = {max(least, count // 2), *(count * times for times in (1, 2, 4, 8))}
     return sorted(size for size in sizes if size <= most)
 

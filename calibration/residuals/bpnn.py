@@ -119,8 +119,8 @@ class Bpnn:
     def predict(self, joints: ArrayLike) -> Array:
         """Predict the residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
 
-        Many poses go through the network in blocks of `ROWS`. Machine code gives bitwise the same result for a pose
-        that is predicted alone as among other poses.
+        Many poses go through the network in blocks of `ROWS`. Machine code gives a pose bitwise the same result alone
+        and among other poses.
         """
         if self._code is not None:
             inputs = np.asarray(joints, dtype=float)
@@ -237,8 +237,13 @@ def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-un
 
     A short last batch is filled from the start of the epoch's shuffle.
 
-    ``model`` is the torch network. ``x`` ``(N, n)`` and ``y`` ``(N, k)`` are tensors of standardised inputs and
-    targets. The other arguments are those of `train_bpnn`.
+    Args:
+        model: The torch network; its weights are trained in place.
+        x: Tensor of standardised inputs ``(N, n)``.
+        y: Tensor of standardised targets ``(N, k)``.
+        rng: Shuffles the rows of each epoch.
+        settings: Training settings.
+        progress: See `train_bpnn`.
     """
     import torch
 

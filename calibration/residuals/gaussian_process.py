@@ -297,8 +297,11 @@ class GaussianProcess(SavedArrays):
 def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: int) -> tuple[float, Array, float]:
     """Return amplitude, length scales ``(F,)`` and noise at the best optimum of the likelihood over all starts.
 
-    ``inputs`` ``(M, F)`` and the output ``target`` ``(M,)`` are standardised. ``drawn`` is the number of random starts,
-    beside the two fixed ones.
+    Args:
+        inputs: Standardised inputs ``(M, F)``.
+        target: One output ``(M,)``, standardised.
+        rng: Draws the random starts.
+        drawn: Number of random starts, beside the two fixed ones.
     """
     count = np.array([1, inputs.shape[1], 1])
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
@@ -317,8 +320,11 @@ def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: 
 def _search(start: Array, inputs: Array, target: Array, precision: float) -> tuple[Array, float]:
     """Return the optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there.
 
-    The start and the two other arrays are those of `negative_log_likelihood`. The search ends when a step improves the
-    value by less than the share ``precision``.
+    Args:
+        start: Logarithms of amplitude, F length scales and noise, ``(F + 2,)``.
+        inputs: Standardised inputs ``(M, F)``.
+        target: One output ``(M,)``, standardised.
+        precision: Share by which a step must improve the value for the search to go on.
     """
     from scipy.optimize import fmin_l_bfgs_b
 
@@ -368,9 +374,13 @@ def _factor(smooth: Array, noise: float) -> Array:
 
 
 def _kernel(left: Array, right: Array, length: Array, amplitude: float) -> Array:
-    """Compute the kernel without noise ``(N, M)`` between rows ``left`` ``(N, F)`` and ``right`` ``(M, F)``.
+    """Compute the kernel without noise ``(N, M)`` between two sets of rows.
 
-    ``length`` ``(F,)`` are the inputs' length scales; ``amplitude`` is the prior standard deviation.
+    Args:
+        left: Rows ``(N, F)``.
+        right: Rows ``(M, F)``.
+        length: Length scale of each input ``(F,)``.
+        amplitude: Prior standard deviation s.
     """
     a, b = left / length, right / length
     kernel = a @ b.T
@@ -385,8 +395,8 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
     """Approximate a fitted process' posterior by a sum of waves with normal weights, to draw whole functions from it.
 
     The waves are random Fourier features (Rahimi and Recht 2007) with quasi-random frequencies. The posterior of their
-    weights is that of a linear regression (Rasmussen and Williams 2006, eqs (2.7)-(2.8)) on the rows and targets of the
-    process.
+    weights is the posterior of a linear regression (Rasmussen and Williams 2006, eqs (2.7)-(2.8)) on the rows and
+    targets of the process.
 
     Args:
         process: The process, with O outputs and F inputs.
@@ -410,7 +420,10 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
 def _of_output(process: GaussianProcess, output: int, normal: Array) -> tuple[Array, Array, Array]:
     """Return frequencies ``(F, K)``, mean weights, and the weights' factor for one output of `feature_process`.
 
-    ``output`` is an index from 0; ``normal`` are standard normal numbers ``(K, F)``, which set the frequencies.
+    Args:
+        process: The process, with F inputs.
+        output: Index of the output, from 0.
+        normal: Standard normal numbers ``(K, F)``, which set the frequencies.
     """
     frequency = normal.T / process.length_scales[output][:, None]
     scale = float(process.amplitude[output]) / np.sqrt(len(normal))

@@ -8,8 +8,7 @@ positions (3).
 The gate accepts a residual only if it reduces the error on contiguous blocks of held-out rows. A random split flatters
 models that interpolate between neighbouring poses. The verdicts come from blocks of rows that are held out of all
 training. The choice among models comes from blocks of the training rows, so that the held-out blocks remain a fair
-test.
-Rows of a cluster have similar errors, so each of them has a smaller weight.
+test. Rows of a cluster have similar errors, so each of them has a smaller weight.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class JointInputs(SavedArrays):
         """Return standardised inputs ``(..., F)`` for joints ``(..., n)``, rad or m, and conditions ``(..., c)``.
 
         Raises:
-            InputError: If the number of joints or conditions differs from that at training.
+            InputError: If the number of joints or conditions differs from the number at training.
         """
         joints = np.asarray(joints, dtype=float)
         if joints.shape[-1:] != self.periodic.shape:
@@ -121,7 +120,7 @@ class LearntResidual:
             conditions: Further inputs ``(..., c)`` in the order and units of training, if there were any.
 
         Raises:
-            InputError: If joints or conditions differ in number from those of training.
+            InputError: If the number of joints or conditions differs from the number at training.
         """
         return self.model.predict(self.inputs(joints, conditions))
 
@@ -144,7 +143,7 @@ class LearntResidual:
 
 TRIAL_FITTERS: Mapping[str, Fitter] = {"gp": partial(GaussianProcess.fit, likelihood_rows=200, starts=4)}
 """Fitters of models that are only compared, on many splits. The Gaussian process has a shorter search. It takes a fifth
-of the time, and its error on measured arms is within 6 % of that of the full search."""
+of the time, and its error on measured arms is within 6 % of the error after the full search."""
 
 
 def require_residual(name: str) -> None:
@@ -198,7 +197,8 @@ AUTO = ("bpnn", "rbf", "gp")
 """Models that are tried by default. The list is fixed, so that other installed packages do not change the results."""
 
 SLOW = ("bpnn",)
-"""Models that take seconds to fit, tried last, and beside others only if one of them gains on the held-out blocks."""
+"""Models that take seconds to fit. They are tried last. If other models are tried too, slow models are tried only if
+one of the others gains on the held-out blocks."""
 
 Refit = Callable[[Measurements], Geometry | ArmModel]
 """Function that identifies the arm from training rows alone, or returns an arm identified from other data."""
@@ -219,7 +219,7 @@ class GateVerdict:
         inner_rms: RMS cross-validated over blocks within the training rows, with the residual; None if it was not
             computed.
         geometric_inner_rms: RMS cross-validated over these inner blocks without the residual.
-        accepted: Whether the model won on the held-out blocks and on those within the training rows.
+        accepted: Whether the model won on the held-out blocks and on the blocks within the training rows.
         reason: Reason for the verdict, in words.
     """
 
@@ -330,12 +330,19 @@ def _attitude_rms(residuals: Array, counts: Array) -> float | None:
 
 
 Trial = tuple[Measurements, Measurements, Array, Array, Array]
-"""One split: training rows, held-out rows, residuals of the training rows and of the held-out rows under the arm that
-was identified from the training rows, and weights of the held-out rows."""
+"""One split, in five parts: training rows, held-out rows, training residuals, held-out residuals, and weights of the
+held-out rows. Residuals are relative to the arm that was identified from the training rows."""
 
 
 def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:
-    """Return the split of measurements into training and held-out rows (indices from 0), with the refitted arm."""
+    """Return the split of the measurements into training and held-out rows, with the residuals of the refitted arm.
+
+    Args:
+        measurements: All rows.
+        refit: Identifies the arm from the training rows.
+        train_rows: Indices, from 0, of the training rows.
+        test_rows: Indices, from 0, of the held-out rows.
+    """
     train, test = measurements.select(train_rows), measurements.select(test_rows)
     model = refit(train)
     return train, test, train.difference(model), test.difference(model), counted(measurements.joints)[test_rows]
@@ -344,7 +351,11 @@ def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array:
     """Return the held-out rows' residual minus the prediction of a model that learns from the trial's training rows.
 
-    The model is the registered one with this name, and ``fitter`` replaces its fit unless it is None.
+    Args:
+        name: Name of the registered model.
+        seed: Seed of the model's fit.
+        fitter: Function that replaces the model's fit; None to keep it.
+        trial: The split.
     """
     train, test, to_learn, untouched, _ = trial
     rows, rng = (train.joints, to_learn, train.prismatic), np.random.default_rng(seed)
@@ -362,9 +373,11 @@ def _verdict(
 ) -> GateVerdict:
     """Return a model's verdict, completed with errors, acceptance and reason.
 
-    ``left_by`` fits the model on a split and returns the held-out residuals that remain. ``blocked`` is the split with
-    held-out blocks. ``inner`` returns the splits within the training rows; it is called only if the model wins on
-    ``blocked``.
+    Args:
+        verdict: The verdict with the model's name, and with the errors on the held-out blocks without the residual.
+        left_by: Function that fits the model on a split and returns the held-out residuals that remain.
+        blocked: The split with held-out blocks.
+        inner: Function that returns the splits within the training rows; called only if the model wins on ``blocked``.
     """
     *_, untouched, counts = blocked
     try:
