@@ -337,7 +337,8 @@ package is as likely as any other. {{counts}} make no difference; of the other {
 **{{share}}
 
 A change is tried against the tests of `make test` that run its line, nearest first, as many as take {BUDGET:.0f} s.
-Others might notice more. Tests written for a survivor afterwards do not raise the share: only another sample does.{{earlier}}
+Others might notice more. Tests written for a survivor afterwards do not raise the share: only another sample
+does.{{earlier}}
 
 What survived:
 
