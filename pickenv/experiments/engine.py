@@ -171,8 +171,8 @@ Progress = Callable[[str, int, int], None]
 Refused = Callable[[Levels, InputError], None]
 Piece = tuple[Levels, tuple[int, ...]]
 """A piece of an experiment: one level of each unit and factor, as two values. The first has the levels by the name of
-the factor or unit. The second has the index of each unit's level, from 0; with the experiment's seed it determines the
-piece's random numbers."""
+the factor or unit. The second has the index of each unit's level, from 0. These indices and the experiment's seed
+determine the piece's random numbers."""
 
 
 @dataclass(frozen=True)

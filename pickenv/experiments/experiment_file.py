@@ -212,7 +212,7 @@ def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[
     The range of K numbers contains one further number with probability (K - 1) / (K + 1), for any distribution.
 
     Args:
-        rows: Rows of `estimate` for the shipped constants, which are changed.
+        rows: Estimates for the shipped constants, from `estimate`. These rows are changed.
         measured: The rows of the experiment.
         draws: Column with the index of the draw of constants; 0 is for the shipped constants.
         asked: The further arguments of `estimate`, after the columns, with which ``rows`` were estimated.

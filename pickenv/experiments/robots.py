@@ -343,8 +343,9 @@ def run_bench(
         progress: Called with (name of the experiment, pieces done, total number of pieces).
 
     Returns:
-        The predicted and measured gains, from `gains_of`; the numbers of the table of measured robots, from
-        `model_errors`, with the column "row"; and the reasons why rows were not computed, by the name of the row.
+        Three values. The first has the predicted and measured gains, from `gains_of`. The second has the numbers of the
+        table of measured robots, from `model_errors`, with the column "row". The third has the reasons why rows were
+        not computed, by the name of the row.
 
     Raises:
         InputError: If a name is unknown, or none of the rows has data.
@@ -429,8 +430,8 @@ def _interval(pairs: Array, split: str) -> Ends | None:
     The interval is computed for the logarithm of the remaining share, which is less skewed than the share.
 
     Args:
-        pairs: Squared errors with the model, and with the reference model, ``(n, 2)``, m^2, of random rows or of
-            contiguous parts in order.
+        pairs: Squared errors ``(n, 2)``, m^2, of random rows, or of contiguous parts in order. The first column is for
+            the model, the second for the reference model.
         split: "random" or "blocks".
     """
     ends = statistic_interval(pairs, lambda some: 0.5 * np.log(np.divide(*some.sum(axis=0))), ordered=split == "blocks")

@@ -55,7 +55,8 @@ from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.experiments.engine import Rows, joined
 
 VERSION = 3
-"""Version of the rows. It is raised when a configuration would give other rows, so that old and new rows never mix."""
+"""Version of the rows. It is raised when the same configuration would give other rows than before. Old and new rows
+thus never mix."""
 
 RAW, LS = "raw", "ls"
 METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
@@ -144,7 +145,7 @@ class StudyConfig:
         methods: Methods of calibration, each "raw" (none), "ls", or "ls+" and a residual model, as in `METHODS`.
         poses: Numbers of calibration poses that are compared.
         noise: Standard deviations of the readings, one for each case that is compared, in place of the instrument's
-            own. They include errors of range and of centring.
+            own. The deviations include errors of range and of centring.
         instrument: Instrument that measures the arms: a name of `pickenv.arm.load_instrument`, or a path. All its
             properties except the noise are used, such as the waiting time before each reading.
         residual_poses: Number of further poses for a learnt residual.
@@ -446,8 +447,8 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "creep": ("base_tilt", lambda effect: (effect.creep,)),
     "settlement": ("base_tilt", lambda effect: (effect.settlement,)),
 }
-"""For each column of sizes, its effect, and a function that returns the effect's parameters. Effects that give their
-own sizes, such as effects of other packages, have columns named after the effect."""
+"""For each column of sizes (parameters of effects), the effect, and a function that returns the effect's parameters.
+Effects that give their own sizes, such as effects of other packages, have columns named after the effect."""
 
 
 def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
@@ -590,8 +591,8 @@ def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circu
     The fruit, the calibration poses and the tracker's errors are in ``around``.
 
     Returns:
-        Joint commands for M fruit ``(M, n)``, rad or m; `OK`, or the reason why the arm cannot be calibrated or judged;
-        and the number of least-squares iterations.
+        Three values. The first is the joint commands for M fruit ``(M, n)``, rad or m. The second is `OK`, or the
+        reason why the arm cannot be calibrated or judged. The third is the number of least-squares iterations.
     """
     if setting.method == RAW:
         return around.fruit, OK, 0

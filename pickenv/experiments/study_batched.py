@@ -1,6 +1,6 @@
 """Calibrate and judge thousands of arms of a study at once, in torch.
 
-Physics, least squares and compensation are those of `pickenv.experiments.study`, so the rows agree. The least squares
+Physics, least squares and compensation are as in `pickenv.experiments.study`, so the rows agree. The least squares
 of all arms start at the nominal geometry. The poses of an arm determine which parameters are redundant. In nearly all
 arms these are the same parameters. `pickenv.experiments.study` computes the arms with other redundant parameters, and
 the arms for which undamped steps do not suffice. Joints, vectors and frames are lists of components, whose last axis is
@@ -292,7 +292,8 @@ def _residual(weights: Tensor, tool: Frame, measured: Frame) -> Tensor:
 def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequence[Frame], tool: Frame) -> Tensor:
     """Return the weighted derivatives of poses ``(N, 6P, K)`` by the K parameters, each in units of its tolerance.
 
-    The ``weights`` (6,) are the inverse of the noise. The frames ``links`` and ``tool`` are those of `_links`.
+    The result is for N arms at P poses. The ``weights`` (6,) are the inverse of the noise, 1/m and 1/rad. The frames
+    ``links`` and ``tool`` come from `_links`.
     """
     shape = torch.broadcast_shapes(*(value.shape for value in tool[9:]))
     columns = torch.zeros((6, *shape, len(model.columns)), dtype=torch.float64, device=weights.device)
@@ -306,9 +307,9 @@ def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequ
 
 
 def _solve(matrix: Tensor, weighted: Tensor) -> tuple[Tensor, Tensor]:
-    """Return least-squares steps ``(N, K)``, in units of tolerances, and whether equations could be solved ``(N,)``.
+    """Return the least-squares step of each arm ``(N, K)``, in units of tolerances, and whether it exists ``(N,)``.
 
-    The ``matrix`` ``(N, rows, K)`` and the errors ``weighted`` ``(N, rows)`` are those of `_jacobian` and `_residual`.
+    The ``matrix`` ``(N, rows, K)`` comes from `_jacobian`, and the errors ``weighted`` ``(N, rows)`` from `_residual`.
     The normal equations are accurate enough, because each step corrects the rounding error of the step before.
     """
     turned = matrix.mT

@@ -1,4 +1,4 @@
-"""Plans of a zone by several methods, and a lower bound of their makespan.
+"""Plans of a zone by several methods, and a lower bound of their makespan (the time at which the last pick ends).
 
 A plan says which arm picks which fruit in which order. Li's rule and the usual baselines of the field need no search.
 The local search takes milliseconds. It includes the waiting time between excursions (an arm's ways out to a fruit and

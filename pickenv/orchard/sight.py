@@ -228,7 +228,7 @@ def turned_leaves(places: ArrayLike, look: Look, rng: np.random.Generator) -> Le
 def _background(look: Look, image: tuple[int, int], rng: np.random.Generator) -> Array:
     """Return a background image of light and dark patches, (height, width, 3), 0 to 255.
 
-    ``image`` is its width and height, px.
+    ``image`` is the width and height of the image, px.
     """
     coarse = 0.7 + 0.6 * rng.random((image[1] // look.patch + 1, image[0] // look.patch + 1))
     fine = np.kron(coarse, np.ones((look.patch, look.patch)))[: image[1], : image[0]]

@@ -200,7 +200,8 @@ def _write(
 def _draw_dial(pen: ImageDraw.ImageDraw, dial: Dial, stage: Stage) -> None:
     """Draw the dial, whose width is the share `DIAL` of the picture's height, into the lower right corner.
 
-    Its radius is `SHOWN` times its ring's radius. Misses beyond the dial are drawn at the share `RIM` of its radius.
+    The dial's radius is `SHOWN` times the ring's radius. A miss outside the dial is drawn at the share `RIM` of the
+    dial's radius.
     """
     width, height = stage.size
     half = DIAL * height / 2

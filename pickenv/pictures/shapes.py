@@ -355,7 +355,7 @@ def arm_at_work(
 
 
 def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
-    """Return the solids of a cup with a wall of `WALL`, m, that holds the lower half of a fruit.
+    """Return the solids of a cup that holds the lower half of a fruit; its wall has the thickness `WALL`, m.
 
     Args:
         tool: Position of the fruit ``(3,)``, m.

@@ -411,7 +411,7 @@ def inspect_evaluation(
 def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: int) -> Comparison:
     """Return a comparison of raw, LS and, if learnt, LS with residual, each driving the plant over its workspace.
 
-    ``grid_step`` and ``seed`` are those of `inspect_calibration`.
+    ``grid_step`` and ``seed`` are as for `inspect_calibration`.
     """
     if calibration.arm_fingerprint != plant.arm.fingerprint():
         raise InputError(

@@ -113,7 +113,11 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
 
 
 def _field_scale(comparison: Comparison) -> tuple[float, float, Array]:
-    """Return what all fields share: upper end of colours, mm, factor on arrows, and shift from field to field, m."""
+    """Return three values that all error fields share.
+
+    The first is the upper end of the colour scale, mm. The second is the factor by which arrows are longer than true.
+    The third is the shift from one field to the next ``(3,)``, m.
+    """
     top = max(scale_end(field_mm(policy)) for policy in comparison.policies)
     return top, field_gain(comparison.grid.step, top), APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
 

@@ -69,8 +69,9 @@ RINGS, SPOKES = 24, 24
 
 
 Change: TypeAlias = Mapping[str, Any]
-"""The effect of a calibration on picks, as in JSON: name of the ``gripper``, standard deviation of the perceived fruit
-position per axis, ``perception_mm``, and shares of fruit taken without and with calibration, ``before``, ``after``."""
+"""The effect of a calibration on picks, as in JSON. ``gripper`` is the gripper's name. ``perception_mm`` is the
+standard deviation of the perceived fruit position, per axis. ``before`` is the share of fruit taken without
+calibration, and ``after`` the share with calibration."""
 
 
 def _gain(change: Change) -> float:
@@ -351,7 +352,7 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
 
     The best policy has the least mean distance from tool to fruit when the gripper closes. The rival is the first other
     policy in ``episodes.policies`` that closed the gripper for some of the same fruit; without a rival the result is
-    empty. Only the part of this distance across the tool's axis counts.
+    empty. Picks are computed from the part of this distance that is across the tool's axis.
     """
     best, rivals = _best(episodes)
     if best is None or not rivals:
@@ -424,7 +425,7 @@ def stage_label(calibration: Calibration) -> str:
 GAIN = 20.0
 """Factor by which recordings draw errors longer than true. Figures use it too if the arrows then fit."""
 SCALE_PERCENTILE = 99.0
-"""The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
+"""Percentile of the shown values at which a colour scale ends, so that outliers do not flatten the scale."""
 
 
 def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
