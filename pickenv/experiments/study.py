@@ -609,7 +609,7 @@ def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circu
 
 
 def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Compensator, int]:
-    """Calibrate the true arm ``arm`` at the poses in ``around``; return compensator and least-squares iterations."""
+    """Calibrate the true arm ``arm`` at the poses in ``around``; return compensator and number of iterations."""
     identified = identify_converged(protocol.model, protocol.nominal, measured(protocol, arm, setting, around))
     iterations = len(identified.residual_rms) - 1
     _, _, kind = setting.method.partition(f"{LS}+")

@@ -170,8 +170,13 @@ def visited_frames(
 ) -> list[Tensor]:
     """Return the true tool frames of N arms at all P calibration poses, at the times of the readings.
 
-    A frame is a list of 12 components ``(P, N)``. ``around`` has the poses and errors of each arm. ``place`` moves an
-    array to the device on which torch computes.
+    The result is one frame, as a list of 12 components ``(P, N)``.
+
+    Args:
+        protocol: The study.
+        plants: The true arms, as one plant whose parameters are arrays over arms.
+        around: Fruit, calibration poses and tracker errors of each arm.
+        place: Function that moves an array to the device on which torch computes.
     """
     visits = np.stack([met.poses for met in around], axis=1)
     stops = np.stack([met.tracker.stops for met in around], axis=-1)
@@ -283,7 +288,10 @@ def _links(chain: Chain, joints: Sequence[Tensor]) -> tuple[list[Frame], Frame]:
 def _residual(weights: Tensor, tool: Frame, measured: Frame) -> Tensor:
     """Return the weighted errors of poses, measured minus predicted, as rows ``(N, 6P)`` of N arms with P poses.
 
-    The frames ``tool`` are predicted. The ``weights`` (6,) are the inverse of the noise, 1/m and 1/rad.
+    Args:
+        weights: Inverse of the noise of each component of a pose, 1/m and 1/rad, (6,).
+        tool: Predicted frames of the tool.
+        measured: Measured frames of the tool.
     """
     error = torch.stack(frame_error(torch, tool, measured))
     return (error * weights[:, None, None]).permute(2, 0, 1).flatten(1)
@@ -292,8 +300,14 @@ def _residual(weights: Tensor, tool: Frame, measured: Frame) -> Tensor:
 def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequence[Frame], tool: Frame) -> Tensor:
     """Return the weighted derivatives of poses ``(N, 6P, K)`` by the K parameters, each in units of its tolerance.
 
-    The result is for N arms at P poses. The ``weights`` (6,) are the inverse of the noise, 1/m and 1/rad. The frames
-    ``links`` and ``tool`` come from `_links`.
+    The result is for N arms at P poses.
+
+    Args:
+        nominal: Nominal geometry.
+        model: Error model, which has the parameters and their tolerances.
+        weights: Inverse of the noise of each component of a pose, 1/m and 1/rad, (6,).
+        links: Frames of the links, from `_links`.
+        tool: Frames of the tool, from `_links`.
     """
     shape = torch.broadcast_shapes(*(value.shape for value in tool[9:]))
     columns = torch.zeros((6, *shape, len(model.columns)), dtype=torch.float64, device=weights.device)

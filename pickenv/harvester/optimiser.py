@@ -75,8 +75,13 @@ def hungarian_waves(work: Work) -> Plan:
 def _next_times(work: Work, plan: list[list[int]], waiting: list[int]) -> Array:
     """Return the time that each arm needs for each waiting fruit, s, (arms, waiting); infinite out of its reach.
 
-    The time is the travel from the last fruit in the arm's list of ``plan``, or from the home position, plus the
-    excursion to the fruit and back. ``waiting`` lists the indices of fruit without an arm, from 0.
+    The time is the travel to the fruit's height plus the excursion (out to the fruit and back). The travel begins at
+    the last fruit that ``plan`` has for the arm, or at the home position.
+
+    Args:
+        work: Scheduling problem of the zone.
+        plan: For each arm, the indices of its fruit so far, from 0, in picking order.
+        waiting: Indices of the fruit without an arm, from 0.
     """
     way = np.array([work.travel[fruit[-1]] if fruit else work.first for fruit in plan])
     return np.where(work.reached, way + work.duration, np.inf)[:, waiting]

@@ -122,7 +122,7 @@ def pair_distances(m: Any, machine: Machine, slaves: Sequence[Scalars]) -> list[
 def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
     """Return four numbers of a slave, m: x of the pivot, x and y of the cup in plan, and the arm's height d4.
 
-    x is to the right and y ahead. `cup_in_plan` explains ``m``, ``offset``, ``swing`` and ``d6``.
+    x is to the right and y ahead. ``d4`` is returned unchanged; all other arguments are as for `cup_in_plan`.
     """
     return offset, *cup_in_plan(m, offset, swing, d6), d4
 

@@ -317,9 +317,13 @@ def day_of(comparison: Comparison) -> Day:
 
 
 def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:
-    """Return the states of M machines after a pick of ``dt`` seconds, and their tool positions ``(M, 3)``, m.
+    """Return the states of M machines after one pick, and their tool positions ``(M, 3)``, m.
 
-    The machines start in ``state``, and their commands are ``joints`` ``(M, n)``, rad or m.
+    Args:
+        plant: The machines' plant (simulated true arm).
+        state: States of the machines before the pick.
+        joints: Joint commands of the machines ``(M, n)``, rad or m.
+        dt: Duration of the pick, s.
     """
     state, frame = plant.advance(np, state, split_joints(plant.geometry.joints, joints), dt)
     return state, np.stack(np.broadcast_arrays(*frame[9:12]), axis=-1)
