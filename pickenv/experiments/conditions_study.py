@@ -54,7 +54,7 @@ RANGES = ("payload", "weather", "hours")
 
 @dataclass(frozen=True)
 class ConditionsSettings:
-    """Settings of the study: conditions that an arm may meet at work, arms and numbers of measurements.
+    """Settings of the study: arms, the conditions that they may meet at work, and numbers of measurements.
 
     Attributes:
         payload: Largest mass held at the tool, kg.

@@ -396,7 +396,7 @@ def keep(
 ) -> list[Path]:
     """Measure the pieces that a folder lacks, and return the files of all measured pieces in the order of the pieces.
 
-    The arguments are those of `run`, except that ``folder`` is required. Each piece is written when it is measured, so
+    The arguments are as for `run`, except that ``folder`` is required. Each piece is written when it is measured, so
     the rows of all pieces need not fit into memory together. pyarrow can read the files as one data set.
     """
     folder, pieces = Path(folder), experiment.pieces()
@@ -436,7 +436,7 @@ def _computed(
 ) -> Iterator[tuple[int, Rows]]:
     """Compute the pieces with the indices ``todo`` (from 0), and yield index and rows of each, in any order.
 
-    All further arguments are those of `run`.
+    All further arguments are as for `run`.
     """
     done = len(pieces) - len(todo)
     for number, rows in spread(partial(_measured, experiment, pieces, refused is None), todo, backend, workers):

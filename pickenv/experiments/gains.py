@@ -114,7 +114,7 @@ WRIST = 0.3
 """Largest random offset of each revolute joint at a point of the grid, rad; prismatic joints get none."""
 
 FIELD = "field"
-"""Name of the simulated plant whose errors after least squares resemble those of measured arms."""
+"""Name of the simulated plant whose errors after least squares resemble measured arms' errors."""
 
 
 def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array:

@@ -211,8 +211,8 @@ def run_policies(
 
         For picking, one row per arm, gripper and training, over all canopies. ``attempted`` is the number of grasps,
         ``collected`` the number of fruit collected undamaged, and ``duration_s`` the time, s. Two columns are sums over
-        grasps: ``error_sum_mm`` of the distance between the fruit and the tool's true position, ``tilt_sum_deg`` of the
-        angle between tool and vertical.
+        grasps. ``error_sum_mm`` is the sum of the distances between the fruit and the tool's true position.
+        ``tilt_sum_deg`` is the sum of the angles between tool and vertical.
 
     Raises:
         InputError: If a name is unknown, no policy can run with these settings, or a stored file is damaged.

@@ -592,7 +592,7 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
 def _by_policy(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Mapping[str, Any]]]:
     """Return one mapping per policy and feedback, from the name of a compensation to the row with this compensation.
 
-    The ``rows`` are those of `evaluation_rows`. The mappings are sorted by the mean error on raw arms.
+    The ``rows`` come from `evaluation_rows`. The mappings are sorted by the mean error on raw arms.
     """
     policies: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
     for row in rows:

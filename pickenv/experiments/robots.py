@@ -257,7 +257,7 @@ class SpreadRow:
 
     @property
     def published(self) -> float | None:
-        """Published mean error, mm; None if it was published for other held-out rows, or not at all.
+        """Published mean error, mm; None if no error was published for the held-out rows of ``how``.
 
         A published error is for the separate test poses if the data set has some, else for random splits of the rows.
         """

@@ -371,7 +371,9 @@ class Protocol:
 
 
 def prepared_study(config: StudyConfig) -> Protocol:
-    """Load everything that a study needs, and check a few arms: fruit must exist, and poses suffice for a calibration.
+    """Load everything that a study needs, and check with a few arms that it can be run.
+
+    Fruit must exist in the workspace, and the poses must suffice for a calibration.
 
     Raises:
         InputError: If a plant, instrument or tolerance class does not exist, or its file has a refused value. Also if
@@ -408,7 +410,7 @@ def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Ar
 
 
 def _upright_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Return joints ``(count, n)``, rad or m, drawn uniformly among those that hold the tool nearly upright.
+    """Return joints ``(count, n)``, rad or m, drawn uniformly among all joints that hold the tool nearly upright.
 
     The tilt is at most `MAX_TILT`. The margin `GOAL_MARGIN`, a share of a joint's range, is left free at both limits.
     """
@@ -532,7 +534,7 @@ each setting, such as `judge_arms` and `pickenv.experiments.study_batched.judge_
 def judge_arms(
     protocol: Protocol, settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]
 ) -> list[Rows]:
-    """Calibrate and judge a batch of arms, one arm at a time; arguments and result are those of `judge_batch`."""
+    """Calibrate and judge a batch of arms, one arm at a time; arguments and result are as for `judge_batch`."""
     outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
     return [joined(parts) for parts in zip(*outcomes, strict=True)]
 

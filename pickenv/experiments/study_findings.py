@@ -444,7 +444,7 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
 
 
 def _together(labels: Sequence[str]) -> str:
-    """Return one label for curves that look alike, given their labels, such as LS, IT6 to IT16 (alike)."""
+    """Return one label for curves that look alike, given their labels, such as "LS, IT6 to IT16 (alike)"."""
     first, last = labels[0], labels[-1]
     if first == last:
         return first
@@ -495,7 +495,7 @@ def _looks(rows: Sequence[Row], beside: str) -> Callable[[Row], dict[str, Any]]:
 
 
 def _note(figure: Figure, text: str) -> None:
-    """Write a line below a figure that says how to read it."""
+    """Write a note below a figure: a line that says how to read the figure."""
     lines = wrap(text, int(figure.get_figwidth() / NOTE_LETTER))
     figure.supxlabel("\n".join(lines), fontsize=NOTE, color=style.INK)
 

@@ -3,7 +3,7 @@
 Components (`components_of`) are the shares of four causes: the arm, its fruit, its poses and the tracker's errors. One
 cause is drawn again while the other three are held constant, for new arms that are not in the study. The quantity is
 the logarithm of the radius that contains the required share of an arm's fruit. This radius decides whether the arm is
-within specification. With the logarithm, the shares are those of relative errors, and a few bad arms do not dominate.
+within specification. With the logarithm, the shares are for relative errors, and a few bad arms do not dominate.
 
 Sobol indices (`sobol_of`, Saltelli 2010) divide the variance of the squared RMS error, mm^2, among groups of
 tolerances. They include interactions and assume no model, but need further arms. The tracker has no errors here. Each
@@ -264,8 +264,8 @@ def sobol_indices(
 
     Args:
         model: Function that returns one finite number for each of N points ``(N,)``. Its arguments are uniform random
-            numbers ``(N, d)`` in 0..1, and the indices of the points in the sample ``(N,)``, from 0. Sobol indices are
-            averages over all further quantities that depend on a point's index.
+            numbers ``(N, d)`` in 0..1, and the indices of the points in the sample ``(N,)``, from 0. Quantities
+            besides the inputs may depend on a point's index; the Sobol indices are averages over these quantities.
         groups: For each group, the indices, from 0, of its inputs among the d columns; each input belongs to one group.
         samples: Size of the sample, a power of two. The model is evaluated at each point once per group, and twice
             more.
@@ -313,7 +313,7 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
         One row per parameter and one per kind, sorted by share, largest first. ``level`` is "parameter" or "kind",
         ``parameter`` the name of the parameter or kind, and ``kind`` the kind. ``share`` is the share of the variance;
         an estimate of a share near zero may be negative. The ends of its 95 % interval are ``share_low`` and
-        ``share_high``. ``r2``, ``r2_adjusted`` and the number of ``arms`` are those of the whole regression.
+        ``share_high``. ``r2``, ``r2_adjusted`` and the number of ``arms`` are for the whole regression.
 
     Raises:
         InputError: If no parameter varies between the arms, or there are too few arms for the number of deviations.
@@ -372,10 +372,10 @@ def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
     """Compute the sums that a regression needs, for the arms of the setting with the number ``setting``, from 0.
 
     Returns:
-        Two values. The first is the names of the k deviations that vary. The second is an array ``(BLOCKS, 2 k + 2,
-        2 k + 2)``: for each group of arms, the sums of the products of every two of 2 k + 2 quantities. These are 1, x
-        and x^2 of each deviation, and the squared RMS error, mm^2. x is the deviation minus its mean, divided by its
-        standard deviation.
+        Two values. The first is the names of the k deviations that vary. The second has one matrix for each of `BLOCKS`
+        groups of arms ``(BLOCKS, 2 k + 2, 2 k + 2)``. An entry is a sum over the arms of the product of two quantities.
+        The quantities are 1, the k values of x, the k values of x^2, and the squared RMS error, mm^2. x is a deviation
+        minus its mean, divided by its standard deviation.
     """
     names = [name for name in rows.schema.names if DEVIATION.fullmatch(name)]
     selection = (pc.field("setting") == setting) & (pc.field("status") == OK)

@@ -320,7 +320,7 @@ def film_stage(film: Film, number: int, side: int) -> Stage:
 def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, moment: int, colour: Rgb) -> Solids:
     """Return the solids of the true arm with its gripper, and of the ghost (the arm as its controller believes it).
 
-    If the environment has no arm, the solids are those of the gripper alone.
+    If the environment has no arm, the solids of the gripper are returned alone.
 
     Args:
         episodes: The run's episodes.

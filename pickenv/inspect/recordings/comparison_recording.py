@@ -374,7 +374,7 @@ def inspect_evaluation(
     """Write a recording of the final errors of several policies at the same fruit.
 
     Args:
-        runs: The final states of each policy's episodes, by the policy's label. The first policy is the one without
+        runs: The final states of each policy's episodes, by the policy's label. The first policy has no
             calibration (raw). All policies have the same fruit.
         plant: The simulated true arm, or the plant that a population of arms was drawn from.
         path: The file to write (.rrd).

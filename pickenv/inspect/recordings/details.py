@@ -183,7 +183,7 @@ def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> Arro
 def effect_fields(comparison: Comparison) -> dict[str, Array]:
     """Return the position error field ``(F, 3)``, m, of each cause alone on the nominal arm, by the cause's name.
 
-    Causes are each active effect of the true arm, and its true geometry. The fields are those of the steady state: the
+    Causes are each active effect of the true arm, and its true geometry. The fields are for the steady state: the
     tool is settled, the arm warm and the machine sunk. Effects that vanish in the steady state have no field.
     """
     plant, joints = comparison.plant, comparison.grid.joints
@@ -195,8 +195,8 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
     """Return fields of attitude errors ``(F, 3)``, rotation vectors, rad; an empty dictionary if attitudes are unknown.
 
-    There are three fields. The first policy and the last policy have their errors by the policy's key. The key `FLOOR`
-    has the part of the last policy's errors that no joint motion removes.
+    The key of the first policy has this policy's errors, and so has the key of the last policy. The key `FLOOR` has the
+    part of the last policy's errors that no joint motion removes.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     if first.field_attitude is None or last.field_attitude is None:

@@ -169,7 +169,7 @@ def has_arm(scene: Scene, info: Mapping[str, Any]) -> bool:
 
 
 def has_fruit(info: Mapping[str, Any]) -> bool:
-    """Return whether the vector from fruit to tool can be drawn: `info` has tool and fruit positions."""
+    """Return whether the vector from fruit to tool can be drawn, that is whether `info` has both positions."""
     return set(POSITIONS) <= set(info)
 
 
@@ -358,8 +358,8 @@ def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike
 def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
     """Return points along the believed arm and along the true arm, ``(T, K, 3)`` each, m.
 
-    The believed arm is the nominal arm where its controller believes it to be. The true arm is drawn as the nominal arm
-    at the joint command, moved so that its tool is at the true tool.
+    The believed arm is the nominal arm at the joint values at which its controller believes it to be. The true arm is
+    drawn as the nominal arm at the joint command, moved so that its tool is at the true tool.
     """
     assert scene.nominal is not None
     command = column(rows, "joint_command")

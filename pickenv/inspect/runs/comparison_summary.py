@@ -42,11 +42,12 @@ def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, 
 def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]:
     """Return the lateral misalignment of each reach, and the probability that each gripper takes its fruit.
 
-    The tool's axis is that of the true arm. The wanted axis is that of the nominal arm at the first policy's command.
+    The true arm at the policy's command gives the tool's axis. The nominal arm at the first policy's command gives the
+    wanted axis.
 
     Returns:
-        For each policy, by label: distances of the fruit from the tool's axis ``(R,)``, mm, and for each gripper the
-        probability that it takes the fruit ``(R,)``.
+        Two values for each policy, by label. The first is the distances of the fruit from the tool's axis ``(R,)``, mm.
+        The second is, for each gripper by name, the probability that the gripper takes the fruit ``(R,)``.
     """
     grippers = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
