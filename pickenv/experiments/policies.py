@@ -74,8 +74,8 @@ class PolicySettings:
         episodes: Number of fruit per arm.
         seeds: Seeds of arms, fruit, pictures and calibrations.
         tolerances: Tolerance class of the arms, unless the plant's name begins with a class.
-        camera_noise_mm: Standard deviation, per axis, of the vector from tool to fruit as the camera measures it.
-        fruit_noise_mm: Standard deviation, per axis, of the fruit's position in the observation.
+        camera_noise_mm: Standard deviation, mm per axis, of the vector from tool to fruit as the camera measures it.
+        fruit_noise_mm: Standard deviation, mm per axis, of the fruit's position in the observation.
         plan: How arms are calibrated; each seed in ``seeds`` replaces the seed of the plan.
         canopies: Number of canopies that each picking policy clears with each arm and gripper, one after the other.
         split: Arms that are taken from a rung: "test", on which policies are judged, or "train"; "test" if left out.

@@ -179,8 +179,7 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 """For each group of effects, the effect and the random numbers (`random_columns`) that determine it."""
 SOBOL_STREAM = 7
-"""Spawn key of the random numbers for Sobol indices. It is not a key of the study's rows, whose random numbers
-differ."""
+"""Spawn key of the random numbers for Sobol indices. No random numbers of the study's rows have this key."""
 SCRAMBLES = 32
 """Number of independent Sobol sequences in a sample; the intervals are over them."""
 LEAST_SAMPLES = 8 * SCRAMBLES

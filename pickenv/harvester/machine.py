@@ -316,7 +316,7 @@ class TrueTable:
 class WorkspaceTable:
     """Table [workspace] of a machine file: ranges in the base frame, m, where the points that cups reach lie densely.
 
-    This is not the workspace of a calibration, which is where an arm will work.
+    The workspace of a calibration is something else: the space in which an arm will work.
     """
 
     dense_x: Annotated[tuple[float, float], MM]

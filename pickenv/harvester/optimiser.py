@@ -1,8 +1,8 @@
 """Plans of a zone by several methods, and a lower bound of their makespan (the time at which the last pick ends).
 
 A plan says which arm picks which fruit in which order. Li's rule and the usual baselines of the field need no search.
-The local search takes milliseconds. It includes the waiting time between excursions (an arm's ways out to a fruit and
-back) that must not overlap (`Work.conflict`). Plans leave out fruit that no arm reaches. Units: s.
+The local search takes milliseconds. An excursion is an arm's way out to a fruit and back. Some excursions must not
+overlap (`Work.conflict`), and the local search takes the waiting time for this into account. Plans leave out fruit that no arm reaches. Units: s.
 """
 
 from __future__ import annotations

@@ -271,7 +271,7 @@ class SightErrors(checks.Preset):
         spread: Standard deviation of the error along x, y and z, m.
         spread_low: Lower end of the confidence interval of ``spread``, m.
         spread_high: Upper end of the confidence interval of ``spread``, m.
-        correlation: Correlations of the errors along x and y, x and z, y and z.
+        correlation: Correlations between the errors along x and y, along x and z, and along y and z.
         part_bias: Mean error in each part of a range, m. A part has an equal share of the located fruit; the first part
             has the smallest errors, the last part the largest.
         part_spread: Standard deviation of the error in each part, m.

@@ -139,7 +139,7 @@ BRIGHTER = 1.35
 
 
 def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: ArrayLike = True) -> Solids:
-    """Return the solids of fruit, with stems where it hangs.
+    """Return the solids of fruit; hanging fruit has a stem.
 
     Args:
         places: Positions of the fruit (N, 3), m.

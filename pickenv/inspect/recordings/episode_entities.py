@@ -212,7 +212,8 @@ NEAREST_MM = 1e-4
 MOST_CURVES = 50
 """Largest number of episodes with curves on `episode_time`; later episodes have curves on the other time lines only."""
 WIDTHS = (1.8, 1.2, 0.8, 0.5)
-"""Line widths of a policy's curves that share a unit, used in turn, points."""
+"""Line widths of a policy's curves that share a unit, points, from the first curve on. All further curves have the last
+of these widths."""
 
 
 def decades(distance_mm: Array) -> Array:

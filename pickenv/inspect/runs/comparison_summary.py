@@ -522,7 +522,7 @@ def summary_markdown(comparison: Comparison) -> str:
 
 
 def _better(comparison: Comparison) -> str:
-    """Return a sentence on the share of field points where the last policy errs less than the last but one.
+    """Return a sentence on the share of field points at which the last policy errs less than the last but one.
 
     With fewer than two policies the text is empty.
     """
