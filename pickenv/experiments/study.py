@@ -77,7 +77,7 @@ class Noise:
 
 
 DEFAULT_NOISE = Noise(POSITION_STD * 1e3, math.degrees(ATTITUDE_STD))
-"""Noise of the tracker in a study that gives none."""
+"""Noise of the tracker in a study whose file gives no noise."""
 
 
 SETTING = ("setting", "tolerances", "it_grade", "poses", "noise_mm", "noise_deg", "payload_kg", "method")

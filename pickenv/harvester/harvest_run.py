@@ -307,8 +307,8 @@ class Harvest:
         phases: Time spent in each phase ("move", "image", "pick", "unload"), s.
         repicks: Number of attempts at fruit that an earlier attempt had missed.
         misled: Number of attempts at false detections.
-        chances: Random numbers of the first picture, (n, 5), see `pickenv.orchard.draw_chances`; None unless the vision
-            is "measured_errors".
+        chances: Random numbers of the present zone's first picture, (n, 5), see `pickenv.orchard.draw_chances`; None
+            unless the vision is "measured_errors".
     """
 
     def __init__(self, machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -> None:
@@ -542,7 +542,7 @@ def _unload(machine: Machine, state: Harvest) -> None:
 def generators_of(
     seeds: Sequence[np.random.SeedSequence],
 ) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
-    """Return two lists with one random generator per seed: the first draws trees, the second decides their harvest."""
+    """Return random generators, one per seed, in two lists: the first for drawing trees, the second for their harvest."""
     pairs = [np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2) for seed in seeds]
     return [np.random.default_rng(a) for a, _ in pairs], [np.random.default_rng(b) for _, b in pairs]
 

@@ -2,7 +2,8 @@
 
 A plan says which arm picks which fruit in which order. Li's rule and the usual baselines of the field need no search.
 The local search takes milliseconds. An excursion is an arm's way out to a fruit and back. Some excursions must not
-overlap (`Work.conflict`), and the local search takes the waiting time for this into account. Plans leave out fruit that no arm reaches. Units: s.
+overlap (`Work.conflict`), and the local search takes the waiting time for this into account. Plans leave out fruit
+that no arm reaches. Units: s.
 """
 
 from __future__ import annotations

@@ -361,7 +361,7 @@ def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
 
 
 ALONG = np.linspace(0.0, 1.0, 25)
-"""Points of a middle arm's centre line, as shares of its length from pivot to cup, that can return an echo."""
+"""Points of a middle arm's centre line that can return an echo, as shares of the way from pivot to cup."""
 
 
 def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:

@@ -323,7 +323,8 @@ class CircleSearch(checks.Preset):
 
 
 Edges = tuple[Array, Array]
-"""Sub-pixel positions of edges (k, 2), column and row, px, and unit gradients of R − G at the edges (k, 2)."""
+"""Two arrays about k edges of an image. The first has their sub-pixel positions, column and row, px, (k, 2). The second
+has the unit gradients of R − G there, (k, 2)."""
 
 
 load_circle_search = preset_files.loader("circles", CircleSearch)

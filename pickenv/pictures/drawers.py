@@ -236,7 +236,8 @@ def _font(height: int) -> ImageFont.FreeTypeFont:
 class Window:
     """A matplotlib window that shows one picture after another.
 
-    If the environment variable MPLBACKEND is "agg", it shows nothing and raises no error, for tests without a screen.
+    If the environment variable MPLBACKEND is "agg", the window shows nothing and raises no error. Tests without a
+    screen use this.
 
     Raises:
         InputError: If there is no display.
