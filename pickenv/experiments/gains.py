@@ -63,8 +63,8 @@ def left_by_models(
         choices: Further fields of `Choices`, the settings of a calibration.
 
     Returns:
-        Squared position errors of the held-out rows, m^2, by model; and the result of the fit with the last entry of
-        ``terms``.
+        Two values. The first is the squared position errors of the held-out rows, m^2, by model. The second is the
+        result of the fit with the last entry of ``terms``.
 
     Raises:
         InputError: If the rows cannot be calibrated.

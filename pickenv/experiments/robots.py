@@ -450,8 +450,8 @@ def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
         before: Sums of squared errors of the reference model ``(folds, draws)``, m^2.
 
     Returns:
-        The gain, a share of at most 1 (below 0 for a loss); and the ends of its interval, None with fewer than two
-        draws.
+        Two values. The first is the gain, a share of at most 1, which is below 0 for a loss. The second is the ends of
+        the gain's interval, None with fewer than two draws.
     """
     folds, draws = after.shape
     gain = float(np.mean(1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))))

@@ -43,9 +43,10 @@ IN_TIME = 8
 
 
 Commands: TypeAlias = tuple[Sequence[Tensor], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]
-"""Corrected commands of N arms, as a tuple of four: joint commands, one array ``(M, N)`` per joint, rad or m; number of
-fruit that each arm cannot reach, by its own calibration ``(N,)``; number of least-squares steps ``(N,)``; and whether
-the batch could calibrate each arm ``(N,)``. All other arms are calibrated one by one."""
+"""Corrected commands of N arms for M fruit, as four values. The first is the joint commands, one array ``(M, N)`` per
+joint, rad or m. The second is the number of fruit that each arm cannot reach, by its own calibration ``(N,)``. The
+third is the number of least-squares steps ``(N,)``. The fourth says whether the batch could calibrate each arm
+``(N,)``. All other arms are calibrated one by one."""
 
 
 def judge_batch(
@@ -201,9 +202,10 @@ def identify_batch(
         place: Function that moves an array to the device on which torch computes.
 
     Returns:
-        The identified geometries, with link parameters ``(N, n)``; the number of least-squares iterations ``(N,)``; and
-        whether the result of each arm is valid ``(N,)``. A result is invalid if the arm has other redundant parameters
-        than most arms, or if undamped least-squares steps do not converge.
+        Three values. The first is the identified geometries, with link parameters ``(N, n)``. The second is the number
+        of least-squares iterations ``(N,)``. The third says whether each arm's result is valid ``(N,)``. A result is
+        invalid if the arm has other redundant parameters than most arms, or if undamped least-squares steps do not
+        converge.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)
@@ -249,9 +251,10 @@ def identify_batch(
 
 
 def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the indices ``(K,)``, from 0, of the parameters that most arms can identify, and flags of arms ``(N,)``.
+    """Return two arrays: the parameters that most arms can identify, and which arms can identify exactly these.
 
-    A flag is true for an arm that can identify exactly these parameters, by the rule of `identifiability`.
+    The first array has the parameters' indices ``(K,)``, from 0. The second has a flag for each arm ``(N,)``.
+    `identifiability` explains the rule.
 
     Args:
         matrix: Stacked, scaled Jacobians ``(N, rows, P)``, with the P parameters in order of preference.

@@ -194,8 +194,8 @@ class Machine:
             position: Positions in the base frame, m, (..., 3).
 
         Returns:
-            Joints, rad and m, not clipped to the limits; NaN for positions nearer to the master's axis than `a2`. Check
-            them with `master_within_limits`.
+            Joints, rad and m, not clipped to the limits; `master_within_limits` checks them. NaN for positions nearer
+            to the master's axis than `a2`.
         """
         x, y, z = np.moveaxis(np.asarray(position, dtype=float), -1, 0)
         square = x * x + y * y - self.a2**2
@@ -233,7 +233,7 @@ class Machine:
             targets: Target positions of the cups in the base frame, m, (..., n, 3).
 
         Returns:
-            Slave joints (..., arms, n, 3), m and rad, not clipped to the limits. Check them with `within_limits`.
+            Slave joints (..., arms, n, 3), m and rad, not clipped to the limits; `within_limits` checks them.
         """
         master, targets = np.asarray(master, dtype=float), np.asarray(targets, dtype=float)[..., None, :, :]
         theta1, d2, d3 = (master[..., None, None, i] for i in range(3))

@@ -357,8 +357,8 @@ def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 
         looks: Number of images that are averaged. Averaging reduces the part of the error that differs between images.
 
     Returns:
-        Three arrays: whether each fruit is visible at least in part, (n,); whether it is located, (n,); and its
-        position error in the camera frame, m, (n, 3).
+        Three arrays. The first says whether each fruit is visible at least in part, (n,). The second says whether each
+        fruit is located, (n,). The third has the position error of each fruit in the camera frame, m, (n, 3).
     """
     from scipy.special import ndtr
 
@@ -441,7 +441,7 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
 
 
 Viewpoint = tuple[Array, Array]
-"""The midpoint between the two cameras, m, and their direction of view, (3,) each, in any frame with z up."""
+"""Two vectors (3,) in any frame with z up: the midpoint between the two cameras, m, and their direction of view."""
 
 
 def left_eye(camera: stereo.StereoCamera, view: Viewpoint) -> Array:
@@ -545,9 +545,9 @@ def located_fruit(
         diameters: Fruit diameters, m, (n,).
 
     Returns:
-        Three arrays: whether each fruit is located, (n,); measured positions of the fruit, m, (n, 3); and positions of
-        false detections, m, (m, 3). Positions are in the camera frame. For a fruit that is not located, the second
-        array has the true position.
+        Three arrays. The first says whether each fruit is located, (n,). The second has the measured position of each
+        fruit, m, (n, 3), or the true position of a fruit that is not located. The third has the positions of false
+        detections, m, (m, 3). Positions are in the camera frame.
     """
     located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)

@@ -198,8 +198,9 @@ def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Intege
         image: Image, uint8, (height, width, 3).
 
     Returns:
-        Two arrays: centroids, pixel column and pixel row, (m, 2); and bounding boxes, px, (m, 4). A box is first row,
-        first column, the row after the last, and the column after the last. Rows and columns count from 0.
+        Two arrays. The first has the regions' centroids, pixel column and pixel row, (m, 2). The second has their
+        bounding boxes, px, (m, 4): first row, first column, the row after the last, and the column after the last. Rows
+        and columns count from 0.
     """
     require("skimage")
     from skimage.measure import label, regionprops
@@ -339,8 +340,8 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]
         image: Image, uint8, (height, width, 3).
 
     Returns:
-        Two arrays: column and row of the centre and radius of each circle, px, (m, 3), the circle with the most
-        complete rim first; and a mask of the pixels of fruit colour, (height, width).
+        Two arrays. The first has each circle's column and row of the centre, and radius, px, (m, 3). The circle with
+        the most complete rim comes first. The second is a mask of the pixels of fruit colour, (height, width).
     """
     from scipy import ndimage
 

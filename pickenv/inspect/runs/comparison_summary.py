@@ -444,11 +444,14 @@ def field_mm(policy: RecordedPolicy) -> Array:
 
 
 def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return sorted indices of the C grid cells with points ``(C, 3)``, and the mean of each cell's values ``(C,)``.
+    """Return the indices of the C grid cells that contain points, sorted, and the mean of the values in each cell.
 
     Args:
         index: Indices, from 0 along x, y and z, of the cell of each point ``(F, 3)``.
         values: Value at each point ``(F,)``.
+
+    Returns:
+        The indices ``(C, 3)``, and the means ``(C,)``.
     """
     cells, cell = np.unique(index, axis=0, return_inverse=True)
     cell = cell.reshape(-1)
