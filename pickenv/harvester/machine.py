@@ -395,8 +395,8 @@ def refuse_other_tables(machine: Machine, path: str | Path) -> None:
     ``path`` is the machine's file, for the message.
 
     Raises:
-        InputError: If master or slave does not have three joints, or its link table differs from Li's in more than d1,
-            a2, a3 and a4.
+        InputError: If master or slave does not have three joints, or its link table differs from Li's link table in any
+            parameter besides d1, a2, a3 and a4.
     """
     share = np.array([0.2, 0.5, 0.8])
     master, slave = machine.master.nominal, machine.slaves[0].nominal
