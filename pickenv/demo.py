@@ -53,8 +53,8 @@ class DemoSettings:
         reaches: Number of fruit to reach for.
         epochs: Training epochs of the network.
         grid_step: Cell size of the error field, m.
-        gain_poses: Number of poses on a grid, of which contiguous parts are held out to judge a network's gain; with 0
-            the gain is not judged.
+        gain_poses: Number of poses on a grid, for judging a network's gain on held-out contiguous parts of the grid; 0
+            does not judge the gain.
         network: Whether a network learns the residuals of least squares, which needs torch.
     """
 

@@ -54,7 +54,7 @@ RANGES = ("payload", "weather", "hours")
 
 @dataclass(frozen=True)
 class ConditionsSettings:
-    """Settings of the study: conditions that an arm may meet at work, arms and numbers of measurements.
+    """Settings of the study: arms, the conditions that they may meet at work, and numbers of measurements.
 
     Attributes:
         payload: Largest mass held at the tool, kg.
@@ -96,9 +96,9 @@ class State:
 
     @staticmethod
     def same(count: int, **known: float) -> State:
-        """Return conditions at ``count`` poses: the reference (all 0), except for ``known`` ones.
+        """Return the same conditions at ``count`` poses: the values in ``known``, and 0 (the reference) for all others.
 
-        They are "payload" in kg, "temperature" (the day's deviation) in K and "hour" in h.
+        The conditions are "payload" in kg, "temperature" (the day's deviation) in K and "hour" in h.
         """
         return State(*(np.full(count, known.get(name, 0.0)) for name in ("payload", "temperature", "hour")))
 
@@ -216,7 +216,10 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
     knowing = identify_terms(terms, bare, varied, known=True).arm_model
 
     def learning(model: ArmModel, data: Measurements, inputs: Array | None = None) -> Left:
-        """Return what is left by a model with a residual that is learnt from measurements, with or without inputs."""
+        """Learn a residual of ``model`` from ``data``, and return the errors that both together leave, as a `Left`.
+
+        ``inputs`` are the residual's inputs besides the joints, from `told`; None for none.
+        """
         errors = data.difference(model)
         learnt = fit_residual(settings.residual, data.joints, errors, data.prismatic, rng, conditions=inputs)
         return partial(left_by, model=model, learnt=learnt, inputs=inputs is not None)

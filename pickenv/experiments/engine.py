@@ -171,8 +171,8 @@ Progress = Callable[[str, int, int], None]
 Refused = Callable[[Levels, InputError], None]
 Piece = tuple[Levels, tuple[int, ...]]
 """A piece of an experiment: one level of each unit and factor, as two values. The first has the levels by the name of
-the factor or unit. The second has the index of each unit's level, from 0; with the experiment's seed it determines the
-piece's random numbers."""
+the factor or unit. The second has the index of each unit's level, from 0. These indices and the experiment's seed
+determine the piece's random numbers."""
 
 
 @dataclass(frozen=True)
@@ -396,7 +396,7 @@ def keep(
 ) -> list[Path]:
     """Measure the pieces that a folder lacks, and return the files of all measured pieces in the order of the pieces.
 
-    The arguments are those of `run`, except that ``folder`` is required. Each piece is written when it is measured, so
+    The arguments are as for `run`, except that ``folder`` is required. Each piece is written when it is measured, so
     the rows of all pieces need not fit into memory together. pyarrow can read the files as one data set.
     """
     folder, pieces = Path(folder), experiment.pieces()
@@ -436,7 +436,7 @@ def _computed(
 ) -> Iterator[tuple[int, Rows]]:
     """Compute the pieces with the indices ``todo`` (from 0), and yield index and rows of each, in any order.
 
-    All further arguments are those of `run`.
+    All further arguments are as for `run`.
     """
     done = len(pieces) - len(todo)
     for number, rows in spread(partial(_measured, experiment, pieces, refused is None), todo, backend, workers):

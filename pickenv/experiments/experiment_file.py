@@ -212,7 +212,7 @@ def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[
     The range of K numbers contains one further number with probability (K - 1) / (K + 1), for any distribution.
 
     Args:
-        rows: Rows of `estimate` for the shipped constants, which are changed.
+        rows: Estimates for the shipped constants, from `estimate`. These rows are changed.
         measured: The rows of the experiment.
         draws: Column with the index of the draw of constants; 0 is for the shipped constants.
         asked: The further arguments of `estimate`, after the columns, with which ``rows`` were estimated.
@@ -304,10 +304,13 @@ def load_experiment(
 
 
 def _measured(word: str, measure: Callable[..., Any], settings: Mapping[str, Any], **levels: Any) -> Rows:
-    """Return the rows that a user's function ``measure`` measures; its errors are reported with file, line and levels.
+    """Return the rows that a user's function measures; errors in the function are reported with file, line and levels.
 
-    The ``word`` is the function's name in the experiment's file, for messages. The function is called with
-    ``settings``, and with the generator "rng" and one level of each unit and factor from ``levels``.
+    Args:
+        word: Name of the function in the experiment's file, for messages.
+        measure: The function. It is called with all of ``settings`` and ``levels`` by name.
+        settings: Settings of the experiment, by name.
+        levels: The generator "rng", and one level of each unit and factor, by name.
     """
     levels_in_words = ", ".join(f"{name}={level!r}" for name, level in levels.items() if name != "rng")
     with faults_in(Path(inspect.getsourcefile(measure) or word), f"function, or leave out {levels_in_words}"):

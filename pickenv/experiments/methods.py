@@ -116,7 +116,7 @@ def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
 def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationPlan, number: int) -> Calibration:
     """Return an arm's calibration from a folder; if the folder lacks it, calibrate the arm and store the result there.
 
-    The arguments after ``folder`` are those of `calibrate_arm`. The file name contains one hash over the arm's
+    The arguments after ``folder`` are as for `calibrate_arm`. The file name contains one hash over the arm's
     parameters, the method, the plan, the arm's number and the code. The record in the file contains the same hash.
 
     Raises:

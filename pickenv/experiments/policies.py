@@ -74,8 +74,8 @@ class PolicySettings:
         episodes: Number of fruit per arm.
         seeds: Seeds of arms, fruit, pictures and calibrations.
         tolerances: Tolerance class of the arms, unless the plant's name begins with a class.
-        camera_noise_mm: Standard deviation, per axis, of the vector from tool to fruit as the camera measures it.
-        fruit_noise_mm: Standard deviation, per axis, of the fruit's position in the observation.
+        camera_noise_mm: Standard deviation, mm per axis, of the vector from tool to fruit as the camera measures it.
+        fruit_noise_mm: Standard deviation, mm per axis, of the fruit's position in the observation.
         plan: How arms are calibrated; each seed in ``seeds`` replaces the seed of the plan.
         canopies: Number of canopies that each picking policy clears with each arm and gripper, one after the other.
         split: Arms that are taken from a rung: "test", on which policies are judged, or "train"; "test" if left out.
@@ -211,8 +211,8 @@ def run_policies(
 
         For picking, one row per arm, gripper and training, over all canopies. ``attempted`` is the number of grasps,
         ``collected`` the number of fruit collected undamaged, and ``duration_s`` the time, s. Two columns are sums over
-        grasps: ``error_sum_mm`` of the distance between the fruit and the tool's true position, ``tilt_sum_deg`` of the
-        angle between tool and vertical.
+        grasps. ``error_sum_mm`` is the sum of the distances between the fruit and the tool's true position.
+        ``tilt_sum_deg`` is the sum of the angles between tool and vertical.
 
     Raises:
         InputError: If a name is unknown, no policy can run with these settings, or a stored file is damaged.
@@ -316,9 +316,13 @@ def _trainings(kinds: Mapping[str, Kind]) -> range:
 
 
 def _entrant(name: str) -> Kind:
-    """Return the properties of the policy ``name`` as an entrant of the comparison.
+    """Return the properties of the policy ``name``, with the kinds of feedback that it can use in the comparison.
 
-    If several kinds of feedback are possible, the policy is run once with each; refused kinds are left out.
+    If a policy declares several kinds of feedback, one step with each kind is tried. Kinds that the policy refuses are
+    left out.
+
+    Raises:
+        InputError: If the policy is unknown, or refuses every kind of feedback.
     """
     kind, able, refusal = kind_of(name), [], ""
     if kind.picks:
@@ -341,10 +345,19 @@ def _reaches(
     settings: PolicySettings, kinds: Mapping[str, Kind], kept: Path, *, rng: np.random.Generator, plant: str,
     compensation: str, feedback: str, policy: str, seed: int, training: int,
 ) -> Columns:  # fmt: skip
-    """Run the episodes of one policy, and return their columns; ``rng`` is not used.
+    """Run the episodes of one policy, and return their columns.
 
-    ``kinds`` has the properties of each policy by name, and ``kept`` is the folder of calibrations. All arguments after
-    ``rng`` are levels of units and factors; ``training`` is the index of the training, from 0.
+    Args:
+        settings: Settings of the comparison.
+        kinds: Properties of each policy, by name.
+        kept: Folder of calibrations.
+        rng: Not used.
+        plant: Plant preset, or name of a rung.
+        compensation: "raw", or a method of calibration.
+        feedback: "encoders" or "camera".
+        policy: Name of the policy.
+        seed: Seed of the comparison.
+        training: Index of the policy's training, from 0.
     """
     kind, population = kinds[policy], settings.population(plant, seed)
     world = settings.world(plant, seed, feedback)
@@ -425,8 +438,8 @@ def _picks(
     """Return the results of one picking policy with each arm of a seed, over all canopies of the arm.
 
     A policy that learns from the fruit in its gripper meets an arm's canopies one after the other. Any other policy
-    meets all canopies of all arms at once. The arguments are as for `_reaches`, and ``gripper`` is the name of a
-    gripper.
+    meets all canopies of all arms at once. ``gripper`` is the name of a gripper. All other arguments are as for
+    `_reaches`.
     """
     first, arms = settings.first_arm(plant, seed), np.arange(settings.arms)
     world = settings.world(plant, seed, task="Pick") | {"arms": "per_episode", "population": first + settings.arms}

@@ -128,8 +128,9 @@ def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
 
     Returns:
         One dictionary for each policy, feedback, plant and pair of compensations. The compensation that appears first
-        in ``rows`` is "from", and the other one is "to". "difference_mm" is the mean error with "to" minus the one with
-        "from". "ci95" is the 95 % interval of the difference, and "significant" whether it differs from zero.
+        in ``rows`` is "from", and the other one is "to". "difference_mm" is the mean error with "to" minus the mean
+        error with "from". "ci95" is the 95 % interval of the difference. "significant" says whether the difference
+        differs significantly from zero. "no_interval" says why there is no interval.
     """
     steps, names = [behind for (behind,) in rows.levels("compensation")], ("policy", "feedback", "plant")
     pairs = {
@@ -443,8 +444,9 @@ def run_leaderboard(
     Args:
         settings: The policies, compensations, plants and sizes of the leaderboard.
         folder: Folder in which trainings, calibrations and rows are stored.
-        trainings: Number of trainings of each recipe, whose policies are judged besides those of ``settings``; 0 trains
-            none. The seeds of the trainings are consecutive and begin with the first seed of ``settings``.
+        trainings: Number of trainings of each recipe; 0 trains none. The trained policies are judged besides the
+            policies of ``settings``. The seeds of the trainings are consecutive and begin with the first seed of
+            ``settings``.
         learned: Names of the `RECIPES` that are trained; all if empty. Without canopies no policy is trained to pick.
         how: Further arguments of `run_policies`, such as the backend.
 
@@ -590,7 +592,7 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
 def _by_policy(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Mapping[str, Any]]]:
     """Return one mapping per policy and feedback, from the name of a compensation to the row with this compensation.
 
-    The ``rows`` are those of `evaluation_rows`. The mappings are sorted by the mean error on raw arms.
+    The ``rows`` come from `evaluation_rows`. The mappings are sorted by the mean error on raw arms.
     """
     policies: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
     for row in rows:

@@ -32,15 +32,15 @@ def bench_json(settings: BenchSettings, gains: Gains, models: Rows, skipped: Map
 
     The ``gains``, ``models`` and ``skipped`` (reasons why rows of the table were not computed) are from `run_bench`.
 
-    "rows" has one entry per data set, split and model; "row" is the entry's name in `ROWS`. "split" is "random" or
-    "blocks", that is contiguous parts. An entry's "rows" is the number of readings, each held out once. The RMS
-    position error of these readings is "held_out_mm" with the model, and "nominal_mm" with the nominal arm, base and
-    tool fitted. "measured_reduction" is the fraction by which "held_out_mm" is below the error of the model that
-    "before" names; "ci95" is the fraction's interval. "predicted_reduction" is the mean of this fraction over arms
-    drawn from twins, and "predicted_ci95" the 95 % interval for one more drawn arm.
+    "rows" has one entry per data set, split and model. In an entry, "row" is its name in `ROWS`. "split" is "random" or
+    "blocks" (contiguous parts). "rows" is the number of readings, each held out once. The RMS position error of these
+    readings is "held_out_mm" with the model. With the nominal arm, and base and tool fitted, it is "nominal_mm".
+    "measured_reduction" is the fraction by which "held_out_mm" is below the error of the model that "before" names, and
+    "ci95" is the interval of this fraction. "predicted_reduction" is the mean of this fraction over arms drawn from
+    twins. "predicted_ci95" is the 95 % interval for one more drawn arm.
 
-    "models" is the table of measured robots. Each entry has one error "value_mm", the ends of its spread "low_mm" and
-    "high_mm", and in "used" the parts of the best model.
+    "models" is the table of measured robots. In an entry, "value_mm" is the error, and "low_mm" and "high_mm" are
+    the ends of its spread. "used" names the parts of the best model.
     """
     return {
         "rows": gains,

@@ -257,7 +257,7 @@ class SpreadRow:
 
     @property
     def published(self) -> float | None:
-        """Published mean error, mm; None if it was published for other held-out rows, or not at all.
+        """Published mean error, mm; None if no error was published for the held-out rows of ``how``.
 
         A published error is for the separate test poses if the data set has some, else for random splits of the rows.
         """
@@ -343,8 +343,9 @@ def run_bench(
         progress: Called with (name of the experiment, pieces done, total number of pieces).
 
     Returns:
-        The predicted and measured gains, from `gains_of`; the numbers of the table of measured robots, from
-        `model_errors`, with the column "row"; and the reasons why rows were not computed, by the name of the row.
+        Three values. The first has the predicted and measured gains, from `gains_of`. The second has the numbers of the
+        table of measured robots, from `model_errors`, with the column "row". The third has the reasons why rows were
+        not computed, by the name of the row.
 
     Raises:
         InputError: If a name is unknown, or none of the rows has data.
@@ -429,8 +430,8 @@ def _interval(pairs: Array, split: str) -> Ends | None:
     The interval is computed for the logarithm of the remaining share, which is less skewed than the share.
 
     Args:
-        pairs: Squared errors with the model, and with the reference model, ``(n, 2)``, m^2, of random rows or of
-            contiguous parts in order.
+        pairs: Squared errors ``(n, 2)``, m^2, of random rows, or of contiguous parts in order. The first column is for
+            the model, the second for the reference model.
         split: "random" or "blocks".
     """
     ends = statistic_interval(pairs, lambda some: 0.5 * np.log(np.divide(*some.sum(axis=0))), ordered=split == "blocks")
@@ -449,8 +450,8 @@ def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
         before: Sums of squared errors of the reference model ``(folds, draws)``, m^2.
 
     Returns:
-        The gain, a share of at most 1 (below 0 for a loss); and the ends of its interval, None with fewer than two
-        draws.
+        Two values. The first is the gain, a share of at most 1, which is below 0 for a loss. The second is the ends of
+        the gain's interval, None with fewer than two draws.
     """
     folds, draws = after.shape
     gain = float(np.mean(1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))))

@@ -55,7 +55,8 @@ from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.experiments.engine import Rows, joined
 
 VERSION = 3
-"""Version of the rows. It is raised when a configuration would give other rows, so that old and new rows never mix."""
+"""Version of the rows. It is raised when the same configuration would give other rows than before. Old and new rows
+thus never mix."""
 
 RAW, LS = "raw", "ls"
 METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
@@ -76,7 +77,7 @@ class Noise:
 
 
 DEFAULT_NOISE = Noise(POSITION_STD * 1e3, math.degrees(ATTITUDE_STD))
-"""Noise of the tracker in a study that gives none."""
+"""Noise of the tracker in a study whose file gives no noise."""
 
 
 SETTING = ("setting", "tolerances", "it_grade", "poses", "noise_mm", "noise_deg", "payload_kg", "method")
@@ -144,7 +145,7 @@ class StudyConfig:
         methods: Methods of calibration, each "raw" (none), "ls", or "ls+" and a residual model, as in `METHODS`.
         poses: Numbers of calibration poses that are compared.
         noise: Standard deviations of the readings, one for each case that is compared, in place of the instrument's
-            own. They include errors of range and of centring.
+            own. The deviations include errors of range and of centring.
         instrument: Instrument that measures the arms: a name of `pickenv.arm.load_instrument`, or a path. All its
             properties except the noise are used, such as the waiting time before each reading.
         residual_poses: Number of further poses for a learnt residual.
@@ -370,7 +371,9 @@ class Protocol:
 
 
 def prepared_study(config: StudyConfig) -> Protocol:
-    """Load everything that a study needs, and check a few arms: fruit must exist, and poses suffice for a calibration.
+    """Load everything that a study needs, and check with a few arms that it can be run.
+
+    Fruit must exist in the workspace, and the poses must suffice for a calibration.
 
     Raises:
         InputError: If a plant, instrument or tolerance class does not exist, or its file has a refused value. Also if
@@ -407,7 +410,7 @@ def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Ar
 
 
 def _upright_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Return joints ``(count, n)``, rad or m, drawn uniformly among those that hold the tool nearly upright.
+    """Return joints ``(count, n)``, rad or m, drawn uniformly among all joints that hold the tool nearly upright.
 
     The tilt is at most `MAX_TILT`. The margin `GOAL_MARGIN`, a share of a joint's range, is left free at both limits.
     """
@@ -446,8 +449,8 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "creep": ("base_tilt", lambda effect: (effect.creep,)),
     "settlement": ("base_tilt", lambda effect: (effect.settlement,)),
 }
-"""For each column of sizes, its effect, and a function that returns the effect's parameters. Effects that give their
-own sizes, such as effects of other packages, have columns named after the effect."""
+"""For each column of sizes (parameters of effects), the effect, and a function that returns the effect's parameters.
+Effects that give their own sizes, such as effects of other packages, have columns named after the effect."""
 
 
 def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
@@ -531,7 +534,7 @@ each setting, such as `judge_arms` and `pickenv.experiments.study_batched.judge_
 def judge_arms(
     protocol: Protocol, settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]
 ) -> list[Rows]:
-    """Calibrate and judge a batch of arms, one arm at a time; arguments and result are those of `judge_batch`."""
+    """Calibrate and judge a batch of arms, one arm at a time; arguments and result are as for `judge_batch`."""
     outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
     return [joined(parts) for parts in zip(*outcomes, strict=True)]
 
@@ -590,8 +593,8 @@ def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circu
     The fruit, the calibration poses and the tracker's errors are in ``around``.
 
     Returns:
-        Joint commands for M fruit ``(M, n)``, rad or m; `OK`, or the reason why the arm cannot be calibrated or judged;
-        and the number of least-squares iterations.
+        Three values. The first is the joint commands for M fruit ``(M, n)``, rad or m. The second is `OK`, or the
+        reason why the arm cannot be calibrated or judged. The third is the number of least-squares iterations.
     """
     if setting.method == RAW:
         return around.fruit, OK, 0
@@ -608,7 +611,7 @@ def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circu
 
 
 def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Compensator, int]:
-    """Calibrate the true arm ``arm`` at the poses in ``around``; return compensator and least-squares iterations."""
+    """Calibrate the true arm ``arm`` at the poses in ``around``; return compensator and number of iterations."""
     identified = identify_converged(protocol.model, protocol.nominal, measured(protocol, arm, setting, around))
     iterations = len(identified.residual_rms) - 1
     _, _, kind = setting.method.partition(f"{LS}+")

@@ -1,6 +1,6 @@
 """Calibrate and judge thousands of arms of a study at once, in torch.
 
-Physics, least squares and compensation are those of `pickenv.experiments.study`, so the rows agree. The least squares
+Physics, least squares and compensation are as in `pickenv.experiments.study`, so the rows agree. The least squares
 of all arms start at the nominal geometry. The poses of an arm determine which parameters are redundant. In nearly all
 arms these are the same parameters. `pickenv.experiments.study` computes the arms with other redundant parameters, and
 the arms for which undamped steps do not suffice. Joints, vectors and frames are lists of components, whose last axis is
@@ -43,9 +43,10 @@ IN_TIME = 8
 
 
 Commands: TypeAlias = tuple[Sequence[Tensor], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]
-"""Corrected commands of N arms, as a tuple of four: joint commands, one array ``(M, N)`` per joint, rad or m; number of
-fruit that each arm cannot reach, by its own calibration ``(N,)``; number of least-squares steps ``(N,)``; and whether
-the batch could calibrate each arm ``(N,)``. All other arms are calibrated one by one."""
+"""Corrected commands of N arms for M fruit, as four values. The first is the joint commands, one array ``(M, N)`` per
+joint, rad or m. The second is the number of fruit that each arm cannot reach, by its own calibration ``(N,)``. The
+third is the number of least-squares steps ``(N,)``. The fourth says whether the batch could calibrate each arm
+``(N,)``. All other arms are calibrated one by one."""
 
 
 def judge_batch(
@@ -170,8 +171,13 @@ def visited_frames(
 ) -> list[Tensor]:
     """Return the true tool frames of N arms at all P calibration poses, at the times of the readings.
 
-    A frame is a list of 12 components ``(P, N)``. ``around`` has the poses and errors of each arm. ``place`` moves an
-    array to the device on which torch computes.
+    The result is one frame, as a list of 12 components ``(P, N)``.
+
+    Args:
+        protocol: The study.
+        plants: The true arms, as one plant whose parameters are arrays over arms.
+        around: Fruit, calibration poses and tracker errors of each arm.
+        place: Function that moves an array to the device on which torch computes.
     """
     visits = np.stack([met.poses for met in around], axis=1)
     stops = np.stack([met.tracker.stops for met in around], axis=-1)
@@ -196,9 +202,10 @@ def identify_batch(
         place: Function that moves an array to the device on which torch computes.
 
     Returns:
-        The identified geometries, with link parameters ``(N, n)``; the number of least-squares iterations ``(N,)``; and
-        whether the result of each arm is valid ``(N,)``. A result is invalid if the arm has other redundant parameters
-        than most arms, or if undamped least-squares steps do not converge.
+        Three values. The first is the identified geometries, with link parameters ``(N, n)``. The second is the number
+        of least-squares iterations ``(N,)``. The third says whether each arm's result is valid ``(N,)``. A result is
+        invalid if the arm has other redundant parameters than most arms, or if undamped least-squares steps do not
+        converge.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)
@@ -244,9 +251,10 @@ def identify_batch(
 
 
 def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the indices ``(K,)``, from 0, of the parameters that most arms can identify, and flags of arms ``(N,)``.
+    """Return two arrays: the parameters that most arms can identify, and which arms can identify exactly these.
 
-    A flag is true for an arm that can identify exactly these parameters, by the rule of `identifiability`.
+    The first array has the parameters' indices ``(K,)``, from 0. The second has a flag for each arm ``(N,)``.
+    `identifiability` explains the rule.
 
     Args:
         matrix: Stacked, scaled Jacobians ``(N, rows, P)``, with the P parameters in order of preference.
@@ -283,7 +291,10 @@ def _links(chain: Chain, joints: Sequence[Tensor]) -> tuple[list[Frame], Frame]:
 def _residual(weights: Tensor, tool: Frame, measured: Frame) -> Tensor:
     """Return the weighted errors of poses, measured minus predicted, as rows ``(N, 6P)`` of N arms with P poses.
 
-    The frames ``tool`` are predicted. The ``weights`` (6,) are the inverse of the noise, 1/m and 1/rad.
+    Args:
+        weights: Inverse of the noise of each component of a pose, 1/m and 1/rad, (6,).
+        tool: Predicted frames of the tool.
+        measured: Measured frames of the tool.
     """
     error = torch.stack(frame_error(torch, tool, measured))
     return (error * weights[:, None, None]).permute(2, 0, 1).flatten(1)
@@ -292,7 +303,14 @@ def _residual(weights: Tensor, tool: Frame, measured: Frame) -> Tensor:
 def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequence[Frame], tool: Frame) -> Tensor:
     """Return the weighted derivatives of poses ``(N, 6P, K)`` by the K parameters, each in units of its tolerance.
 
-    The ``weights`` (6,) are the inverse of the noise. The frames ``links`` and ``tool`` are those of `_links`.
+    The result is for N arms at P poses.
+
+    Args:
+        nominal: Nominal geometry.
+        model: Error model, which has the parameters and their tolerances.
+        weights: Inverse of the noise of each component of a pose, 1/m and 1/rad, (6,).
+        links: Frames of the links, from `_links`.
+        tool: Frames of the tool, from `_links`.
     """
     shape = torch.broadcast_shapes(*(value.shape for value in tool[9:]))
     columns = torch.zeros((6, *shape, len(model.columns)), dtype=torch.float64, device=weights.device)
@@ -306,9 +324,9 @@ def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequ
 
 
 def _solve(matrix: Tensor, weighted: Tensor) -> tuple[Tensor, Tensor]:
-    """Return least-squares steps ``(N, K)``, in units of tolerances, and whether equations could be solved ``(N,)``.
+    """Return the least-squares step of each arm ``(N, K)``, in units of tolerances, and whether it exists ``(N,)``.
 
-    The ``matrix`` ``(N, rows, K)`` and the errors ``weighted`` ``(N, rows)`` are those of `_jacobian` and `_residual`.
+    The ``matrix`` ``(N, rows, K)`` comes from `_jacobian`, and the errors ``weighted`` ``(N, rows)`` from `_residual`.
     The normal equations are accurate enough, because each step corrects the rounding error of the step before.
     """
     turned = matrix.mT

@@ -201,7 +201,7 @@ def _at(row: Row, loads: Sequence[float]) -> str:
 def _best_at(rows: Sequence[Row], load: float) -> str:
     """Return a sentence on the best way to make and calibrate arms for the payload ``load``, kg.
 
-    The ``rows`` are those of `yields_of`.
+    The ``rows`` come from `yields_of`.
     """
     best = max((row for row in rows if row["payload_kg"] == load), key=lambda row: row["yield"])
     return f"{_capital(_at(best, (load, load)))} the best is {_way(best)}: {_share(best)}."
@@ -267,7 +267,7 @@ def study_drawings(findings: Findings) -> Drawings:
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
-    """Return the names of those columns in `AXES` that have several values in ``rows``.
+    """Return the names of the columns in `AXES` that have several values in ``rows``.
 
     For poses and noise only the rows of calibrated settings count, since raw arms have neither.
     """
@@ -385,7 +385,12 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
     label. The title gives the values of the best curve at both ends of the axis. The best curve has the largest mean
     yield, or the smallest mean error.
 
-    The columns ``keys`` are the curve and the lower and upper end of its band. The ``note`` is a line below the figure.
+    Args:
+        rows: Rows of `yields_of` or `quantiles_of`.
+        along: Column on the x axis, a key of `AXES`.
+        keys: Columns of the curve, of the lower end of its band and of the upper end.
+        ylabel: Label of the y axis.
+        note: Line below the figure.
     """
     of_yields = "yield" in keys
     factor = 100.0 if of_yields else 1.0
@@ -439,7 +444,7 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
 
 
 def _together(labels: Sequence[str]) -> str:
-    """Return one label for curves that look alike, given their labels, such as LS, IT6 to IT16 (alike)."""
+    """Return one label for curves that look alike, given their labels, such as "LS, IT6 to IT16 (alike)"."""
     first, last = labels[0], labels[-1]
     if first == last:
         return first
@@ -448,9 +453,10 @@ def _together(labels: Sequence[str]) -> str:
 
 
 def _held_words(rows: Sequence[Row], shown: Sequence[str]) -> str | None:
-    """Return the legend's title: the values of the columns of `AXES` that are not ``shown``; None if all are shown.
+    """Return the legend's title: the values of the columns of `AXES` that are not in ``shown``.
 
-    These columns are constant in ``rows``.
+    The ``rows`` of calibrated arms have a single value in each of these columns. The result is None if all columns are
+    shown, or all arms are raw.
     """
     calibrated = [row for row in rows if row["method"] != study.RAW]
     words = [_valued(name, calibrated[0]) for name in AXES if name not in shown] if calibrated else []
@@ -460,7 +466,7 @@ def _held_words(rows: Sequence[Row], shown: Sequence[str]) -> str | None:
 def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterator[tuple[str, list[Row]]]:
     """Yield the label and the rows of each curve, with the rows sorted by the column ``along``.
 
-    A curve has one pair of values in the two columns ``beside``, of which the first is the method.
+    All rows of a curve have the same values in the two columns ``beside``. The first of these columns is the method.
     """
     keys = sorted({(row[beside[0]], row[beside[1]]) for row in rows}, key=lambda key: (key[0] != study.RAW, *key))
     for key in keys:
@@ -489,7 +495,7 @@ def _looks(rows: Sequence[Row], beside: str) -> Callable[[Row], dict[str, Any]]:
 
 
 def _note(figure: Figure, text: str) -> None:
-    """Write a line below a figure that says how to read it."""
+    """Write a note below a figure: a line that says how to read the figure."""
     lines = wrap(text, int(figure.get_figwidth() / NOTE_LETTER))
     figure.supxlabel("\n".join(lines), fontsize=NOTE, color=style.INK)
 

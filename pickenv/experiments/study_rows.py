@@ -130,7 +130,10 @@ def _summary(protocol: study.Protocol, folder: Path, files: Sequence[Path], abou
 
 
 def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, Any]:
-    """Return a setting's columns with its "shares", the rows of `components_of`, or with the reason "missing"."""
+    """Return a setting's columns, with the rows of `components_of` as "shares".
+
+    If these cannot be computed, "missing" has the reason; otherwise "missing" is None.
+    """
     from pickenv.experiments.study_variance import components_of
 
     try:
@@ -143,9 +146,9 @@ def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, A
 
 
 def _claim(folder: Path, config: study.StudyConfig, arithmetic: str) -> None:
-    """Claim a folder for a study: write its configuration there, or check that the one there is the same.
+    """Claim a folder for a study: write the configuration, or check that the folder already has the same one.
 
-    The ``arithmetic`` says how rows are computed, such as "arm by arm", and must be the same too.
+    The ``arithmetic`` says how rows are computed, such as "arm by arm". It is written and checked in the same way.
     """
     described, sha256 = folder / "study.toml", config.sha256()
     if not described.is_file():

@@ -3,7 +3,7 @@
 Components (`components_of`) are the shares of four causes: the arm, its fruit, its poses and the tracker's errors. One
 cause is drawn again while the other three are held constant, for new arms that are not in the study. The quantity is
 the logarithm of the radius that contains the required share of an arm's fruit. This radius decides whether the arm is
-within specification. With the logarithm, the shares are those of relative errors, and a few bad arms do not dominate.
+within specification. With the logarithm, the shares are for relative errors, and a few bad arms do not dominate.
 
 Sobol indices (`sobol_of`, Saltelli 2010) divide the variance of the squared RMS error, mm^2, among groups of
 tolerances. They include interactions and assume no model, but need further arms. The tracker has no errors here. Each
@@ -85,10 +85,15 @@ def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[
 
 
 def _ends(part: Array, whole: Array, value: float) -> tuple[float | None, float | None]:
-    """Return the interval of the ratio of the means of ``part`` and ``whole``, each ``(R,)`` over independent parts.
+    """Return the 95 % interval of a cause's share in a variance; both ends are None if there are too few samples.
 
-    The ends are clipped to 0 to 1, and moved if necessary so that the interval contains ``value``. They are None if R
-    is too small.
+    The share is the mean of ``part`` divided by the mean of ``whole``. The ends are clipped to 0 to 1, and moved if
+    necessary so that the interval contains ``value``.
+
+    Args:
+        part: The cause's part of the variance in each of R independent samples ``(R,)``.
+        whole: The whole variance in each sample ``(R,)``.
+        value: Estimate of the share.
     """
     if not part.any():
         return 0.0, 0.0  # the cause changes nothing
@@ -174,8 +179,7 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 """For each group of effects, the effect and the random numbers (`random_columns`) that determine it."""
 SOBOL_STREAM = 7
-"""Spawn key of the random numbers for Sobol indices. It is not a key of the study's rows, whose random numbers
-differ."""
+"""Spawn key of the random numbers for Sobol indices. No random numbers of the study's rows have this key."""
 SCRAMBLES = 32
 """Number of independent Sobol sequences in a sample; the intervals are over them."""
 LEAST_SAMPLES = 8 * SCRAMBLES
@@ -201,7 +205,7 @@ def tolerance_groups(design: Plant) -> dict[str, list[int]]:
 
 
 def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[str, Any]]:
-    """Compute the Sobol indices of groups of tolerances in one setting: shares in the variance of the squared error.
+    """Compute the Sobol indices of groups of tolerances in a setting: shares in the variance of squared RMS errors.
 
     Args:
         protocol: The study.
@@ -259,8 +263,8 @@ def sobol_indices(
 
     Args:
         model: Function that returns one finite number for each of N points ``(N,)``. Its arguments are uniform random
-            numbers ``(N, d)`` in 0..1, and the indices of the points in the sample ``(N,)``, from 0. Sobol indices are
-            averages over all further quantities that depend on a point's index.
+            numbers ``(N, d)`` in 0..1, and the indices of the points in the sample ``(N,)``, from 0. Quantities
+            besides the inputs may depend on a point's index; the Sobol indices are averages over these quantities.
         groups: For each group, the indices, from 0, of its inputs among the d columns; each input belongs to one group.
         samples: Size of the sample, a power of two. The model is evaluated at each point once per group, and twice
             more.
@@ -308,7 +312,7 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
         One row per parameter and one per kind, sorted by share, largest first. ``level`` is "parameter" or "kind",
         ``parameter`` the name of the parameter or kind, and ``kind`` the kind. ``share`` is the share of the variance;
         an estimate of a share near zero may be negative. The ends of its 95 % interval are ``share_low`` and
-        ``share_high``. ``r2``, ``r2_adjusted`` and the number of ``arms`` are those of the whole regression.
+        ``share_high``. ``r2``, ``r2_adjusted`` and the number of ``arms`` are for the whole regression.
 
     Raises:
         InputError: If no parameter varies between the arms, or there are too few arms for the number of deviations.
@@ -367,9 +371,10 @@ def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
     """Compute the sums that a regression needs, for the arms of the setting with the number ``setting``, from 0.
 
     Returns:
-        The names of the k deviations that vary, and for each of `BLOCKS` groups of arms the sums of products ``(BLOCKS,
-        2 k + 2, 2 k + 2)`` of 1, x, x^2 and the squared error in mm^2. x is the deviation minus its mean, divided by
-        its standard deviation.
+        Two values. The first is the names of the k deviations that vary. The second has one matrix for each of `BLOCKS`
+        groups of arms ``(BLOCKS, 2 k + 2, 2 k + 2)``. An entry is a sum over the arms of the product of two quantities.
+        The quantities are 1, the k values of x, the k values of x^2, and the squared RMS error, mm^2. x is a deviation
+        minus its mean, divided by its standard deviation.
     """
     names = [name for name in rows.schema.names if DEVIATION.fullmatch(name)]
     selection = (pc.field("setting") == setting) & (pc.field("status") == OK)
@@ -411,11 +416,12 @@ def _products(z: Array, block: NDArray[np.int64]) -> Array:
 def _regressed(sums: Array) -> tuple[Array, Array, Array, Array]:
     """Compute a regression on 2 k terms, x and x^2 of k deviations, for each of S sets of arms.
 
-    ``sums`` ``(S, q, q)`` are the sums of products of `_moments`, with q = 2 k + 2.
+    ``sums`` ``(S, q, q)`` are sums of products as in `_moments`, with q = 2 k + 2.
 
     Returns:
-        Slopes of the terms ``(S, 2 k)``, mm^2; covariances of the terms ``(S, 2 k, 2 k)``; variances of the squared
-        error, mm^4, and the shares of these variances that all terms explain (R^2), each ``(S,)``.
+        Four arrays: the slopes of the terms ``(S, 2 k)``, mm^2; the covariances of the terms ``(S, 2 k, 2 k)``; the
+        variance of the squared error ``(S,)``, mm^4; and the share R^2 of this variance that all terms explain
+        ``(S,)``.
     """
     count, mean = sums[:, :1, :1], sums[:, :1] / sums[:, :1, :1]
     covariance = sums / count - mean.mT * mean
@@ -426,9 +432,12 @@ def _regressed(sums: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _explained(slopes: Array, covariance: Array, group: Sequence[int]) -> Array:
-    """Return the variance ``(S,)``, mm^4, that the deviations with the indices ``group`` (from 0 to k - 1) explain.
+    """Return the variance of the squared error ``(S,)``, mm^4, that a group of deviations explains.
 
-    The ``slopes`` ``(S, 2 k)`` and ``covariance`` ``(S, 2 k, 2 k)`` are those of `_regressed`.
+    Args:
+        slopes: Slopes of the terms ``(S, 2 k)``, from `_regressed`.
+        covariance: Covariances of the terms ``(S, 2 k, 2 k)``, from `_regressed`.
+        group: Indices of the group's deviations, from 0 to k - 1.
     """
     both = [*group, *(slopes.shape[1] // 2 + i for i in group)]  # x and x^2
     part = slopes[:, None, both]
@@ -436,12 +445,13 @@ def _explained(slopes: Array, covariance: Array, group: Sequence[int]) -> Array:
 
 
 def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:
-    """Return the 95 % interval of a share, less the part of the share that is due to chance.
+    """Return the 95 % interval of a share in the variance, from which the part that chance adds is subtracted.
 
-    The square root of a share is a length in the space of slopes, and its standard error is the same everywhere. The
-    share divided by the square of this error is therefore noncentral chi-square, as if with ``chance / error**2``
-    degrees of freedom. The interval contains all noncentralities that are plausible for this share. It begins at zero
-    if zero is plausible, and is extended to an estimate below zero.
+    The square root of a share is a length in the space of slopes, and its standard error does not depend on the share.
+    The share divided by the square of this error therefore has a noncentral chi-square distribution. Its degrees of
+    freedom are taken to be ``chance / error**2``. The interval contains all noncentralities that are plausible for this
+    share. The interval begins at zero if zero is plausible. If the estimate is below zero, the interval is extended
+    down to the estimate.
 
     Args:
         share: The share, including what chance adds.

@@ -67,8 +67,8 @@ class Picking:
     Attributes:
         cup: Li's cup.
         branch: Branch that fruit hangs from.
-        gather: Least misalignment across the cup's axis, in excess of the cup's clearance around the fruit, at which
-            the cup's gatherer takes no fruit, m.
+        gather: Reach of the cup's gatherer, m. No fruit is taken if its misalignment across the cup's axis exceeds the
+            cup's clearance around the fruit by this reach or more.
         outer: Outer radius of the cup, m.
         cluster_success: Probability that an attempt succeeds although another fruit is in the cup's way.
         cut_success: Probability that the blade meets the stalk.
@@ -140,8 +140,8 @@ def attempt(
         luck: Random numbers that decide the outcomes.
 
     Returns:
-        Three flags of each pick, (picks,) each: the fruit was in the cup, its stalk was cut, it came into the tube
-        undamaged.
+        Three arrays of flags, (picks,) each: whether the fruit was in the cup, whether its stalk was cut, and whether
+        the fruit came into the tube undamaged.
     """
     n = len(tips)
     offset = fruit + moved - tips
@@ -162,7 +162,7 @@ def attempt(
 
 
 def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Flags:
-    """Return flags (m,): whether the cup's wall would meet each fruit in ``near`` on its way to the fruit to take.
+    """Return flags (m,): whether the cup's wall would meet each fruit in ``near`` before the cup is at its own fruit.
 
     Only fruit beside or just below the fruit to take is in the way.
 
@@ -307,8 +307,8 @@ class Harvest:
         phases: Time spent in each phase ("move", "image", "pick", "unload"), s.
         repicks: Number of attempts at fruit that an earlier attempt had missed.
         misled: Number of attempts at false detections.
-        chances: Random numbers of the first picture, (n, 5), see `pickenv.orchard.draw_chances`; None unless the vision
-            is "measured_errors".
+        chances: Random numbers of the present zone's first picture, (n, 5), see `pickenv.orchard.draw_chances`; None
+            unless the vision is "measured_errors".
     """
 
     def __init__(self, machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -> None:
@@ -375,7 +375,13 @@ def harvest(
 def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> Round | None:
     """Take a picture of a zone and plan the picks; return None if the picture shows no fruit that an arm reaches.
 
-    ``state`` is the tree's record, changed in place. ``look`` counts the zone's pictures from 0.
+    Args:
+        machine: The machine as designed.
+        strategy: Choice of pick point, plan and waiting.
+        eyes: Model of how cameras see fruit.
+        state: The tree's record, changed in place.
+        zone: The zone.
+        look: Index of the picture among the zone's pictures, from 0.
     """
     state.spend("image", machine.cycle.image)
     numbers, places = _seen_in(eyes, state, zone, look)
@@ -395,10 +401,17 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the detections in a zone's picture: index in the tree (m,), -1 if false, and position, m, (m, 3).
+    """Take a zone's picture, note in the tree's record which fruit it shows, and return its detections.
 
-    Indices count from 0. Positions are as measured, in the base frame. ``state`` is the tree's record, changed in
-    place. ``look`` counts the zone's pictures from 0.
+    Args:
+        eyes: Model of how cameras see fruit.
+        state: The tree's record, changed in place.
+        zone: The zone.
+        look: Index of the picture among the zone's pictures, from 0.
+
+    Returns:
+        Two arrays. The first is the index of each detection's fruit in the tree, from 0, -1 for a false detection,
+        (m,). The second is the measured position of each detection in the base frame, m, (m, 3).
     """
     tree, rng = state.tree, state.looking
     hanging = np.flatnonzero(~state.detached)
@@ -529,7 +542,7 @@ def _unload(machine: Machine, state: Harvest) -> None:
 def generators_of(
     seeds: Sequence[np.random.SeedSequence],
 ) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
-    """Return two lists with one random generator per seed: the first draws trees, the second decides their harvest."""
+    """Return two lists with one random generator per seed: generators for drawing trees, and for harvesting them."""
     pairs = [np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2) for seed in seeds]
     return [np.random.default_rng(a) for a, _ in pairs], [np.random.default_rng(b) for _, b in pairs]
 

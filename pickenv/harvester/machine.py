@@ -194,8 +194,8 @@ class Machine:
             position: Positions in the base frame, m, (..., 3).
 
         Returns:
-            Joints, rad and m, not clipped to the limits; NaN for positions nearer to the master's axis than `a2`. Check
-            them with `master_within_limits`.
+            Joints, rad and m, not clipped to the limits; `master_within_limits` checks them. NaN for positions nearer
+            to the master's axis than `a2`.
         """
         x, y, z = np.moveaxis(np.asarray(position, dtype=float), -1, 0)
         square = x * x + y * y - self.a2**2
@@ -233,7 +233,7 @@ class Machine:
             targets: Target positions of the cups in the base frame, m, (..., n, 3).
 
         Returns:
-            Slave joints (..., arms, n, 3), m and rad, not clipped to the limits. Check them with `within_limits`.
+            Slave joints (..., arms, n, 3), m and rad, not clipped to the limits; `within_limits` checks them.
         """
         master, targets = np.asarray(master, dtype=float), np.asarray(targets, dtype=float)[..., None, :, :]
         theta1, d2, d3 = (master[..., None, None, i] for i in range(3))
@@ -316,7 +316,7 @@ class TrueTable:
 class WorkspaceTable:
     """Table [workspace] of a machine file: ranges in the base frame, m, where the points that cups reach lie densely.
 
-    This is not the workspace of a calibration, which is where an arm will work.
+    The workspace of a calibration is something else: the space in which an arm will work.
     """
 
     dense_x: Annotated[tuple[float, float], MM]
@@ -395,8 +395,8 @@ def refuse_other_tables(machine: Machine, path: str | Path) -> None:
     ``path`` is the machine's file, for the message.
 
     Raises:
-        InputError: If master or slave does not have three joints, or its link table differs from Li's in more than d1,
-            a2, a3 and a4.
+        InputError: If master or slave does not have three joints, or its link table differs from Li's link table in any
+            parameter besides d1, a2, a3 and a4.
     """
     share = np.array([0.2, 0.5, 0.8])
     master, slave = machine.master.nominal, machine.slaves[0].nominal

@@ -1,8 +1,9 @@
-"""Plans of a zone by several methods, and a lower bound of their makespan.
+"""Plans of a zone by several methods, and a lower bound of their makespan (the time at which the last pick ends).
 
 A plan says which arm picks which fruit in which order. Li's rule and the usual baselines of the field need no search.
-The local search takes milliseconds. It includes the waiting time between excursions (an arm's ways out to a fruit and
-back) that must not overlap (`Work.conflict`). Plans leave out fruit that no arm reaches. Units: s.
+The local search takes milliseconds. An excursion is an arm's way out to a fruit and back. Some excursions must not
+overlap (`Work.conflict`), and the local search takes the waiting time for this into account. Plans leave out fruit
+that no arm reaches. Units: s.
 """
 
 from __future__ import annotations
@@ -75,8 +76,13 @@ def hungarian_waves(work: Work) -> Plan:
 def _next_times(work: Work, plan: list[list[int]], waiting: list[int]) -> Array:
     """Return the time that each arm needs for each waiting fruit, s, (arms, waiting); infinite out of its reach.
 
-    The time is the travel from the last fruit in the arm's list of ``plan``, or from the home position, plus the
-    excursion to the fruit and back. ``waiting`` lists the indices of fruit without an arm, from 0.
+    The time is the travel to the fruit's height plus the excursion (out to the fruit and back). The travel begins at
+    the last fruit that ``plan`` has for the arm, or at the home position.
+
+    Args:
+        work: Scheduling problem of the zone.
+        plan: For each arm, the indices of its fruit so far, from 0, in picking order.
+        waiting: Indices of the fruit without an arm, from 0.
     """
     way = np.array([work.travel[fruit[-1]] if fruit else work.first for fruit in plan])
     return np.where(work.reached, way + work.duration, np.inf)[:, waiting]

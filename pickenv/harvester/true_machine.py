@@ -162,9 +162,12 @@ class Controller:
         return forward(self.machine.master.nominal, master) if self.master is None else self.master.predict(master)
 
     def _slave_command(self, i: int, base: Pose, targets: Array) -> Array:
-        """Return the commands (..., 3) that bring the cup of slave ``i`` (from 0), as believed, to ``targets``.
+        """Return the commands (..., 3) of a slave that, as believed, bring the slave's cup to target positions.
 
-        ``base`` is the pose of frame 3, on which the slave is mounted. Targets (..., 3) and base are in the base frame.
+        Args:
+            i: Index of the slave, from 0 on the left.
+            base: Pose of frame 3, on which the slave is mounted, in the base frame.
+            targets: Target positions in the base frame, m, (..., 3).
         """
         geometry = self.machine.slaves[i].nominal
         local = np.einsum("...ji,...j->...i", base.rotation, targets - base.position)
@@ -223,9 +226,14 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
 
 
 def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) -> Plant:
-    """Return a slave's plant mounted ``offset`` m to the right, its true base displaced by the errors of its seat.
+    """Return a slave's plant as mounted on the frame, with the position errors of the slave's seat.
 
-    The errors are displacements to the right, ahead and up, m.
+    Args:
+        plant: The slave's plant (the true arm with its errors).
+        offset: Distance by which the slave is mounted farther to the right, m.
+        right: Error of the seat's position to the right, m.
+        ahead: Error of the seat's position ahead, m.
+        up: Error of the seat's position upwards, m.
     """
     delta = np.zeros(5 * plant.geometry.joints + 12)
     delta[-12:-9] = right, -up, ahead

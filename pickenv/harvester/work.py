@@ -65,9 +65,9 @@ def _side(a: Point, b: Point, c: Point) -> Scalar:
 
 
 def cup_in_plan(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
-    """Return a cup's position in plan, m: distance to the right of, and ahead of, the middle between all pivots.
+    """Return a cup's position in plan, m: its distances to the right and ahead from the middle between all pivots.
 
-    Right and ahead are as seen along the master's heading.
+    Ahead is the master's heading.
 
     Args:
         m: NumPy, or `ONE` for floats.
@@ -122,7 +122,7 @@ def pair_distances(m: Any, machine: Machine, slaves: Sequence[Scalars]) -> list[
 def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
     """Return four numbers of a slave, m: x of the pivot, x and y of the cup in plan, and the arm's height d4.
 
-    x is to the right and y ahead. `cup_in_plan` explains ``m``, ``offset``, ``swing`` and ``d6``.
+    x is to the right and y ahead. ``d4`` is returned unchanged; all other arguments are as for `cup_in_plan`.
     """
     return offset, *cup_in_plan(m, offset, swing, d6), d4
 
@@ -347,7 +347,8 @@ def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = Non
 def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
     """Return a plan's makespan, s, and the index (from 0) of the arm that finishes last; (0, 0) without picks.
 
-    A plan lists, for each arm, the indices of its fruit in the order of picking.
+    The makespan is the time at which the last excursion ends. A plan lists, for each arm, the indices of its fruit in
+    the order of picking.
     """
     row = max(_schedule(work, plan), key=lambda row: row[3], default=(0, 0, 0.0, 0.0, 0.0))
     return row[3], row[0]
@@ -360,7 +361,7 @@ def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
 
 
 ALONG = np.linspace(0.0, 1.0, 25)
-"""Points of a middle arm's centre line, as shares of its length from pivot to cup, that can return an echo."""
+"""Points of a middle arm's centre line that can return an echo, as shares of the way from pivot to cup."""
 
 
 def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
@@ -460,8 +461,14 @@ def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -
 def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: float) -> Array:
     """Return the share of a move of two joints that is done ``time`` seconds after its start.
 
-    The slower joint sets the pace. ``moves`` has the displacements of the two joints (2,), ``speed`` and
-    ``acceleration`` their largest values (2,). ``total`` is the duration of the move, s; if it is 0, the share is 1.
+    The slower joint sets the pace.
+
+    Args:
+        time: Times since the start, s.
+        moves: Displacements of the two joints, m or rad, (2,).
+        speed: Largest speeds of the joints, m/s or rad/s, (2,).
+        acceleration: Largest accelerations of the joints, m/s² or rad/s², (2,).
+        total: Duration of the move, s; if it is 0, the share is 1.
     """
     if total <= 0:
         return np.ones_like(time)

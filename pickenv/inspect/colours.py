@@ -121,7 +121,7 @@ def in_words(text: str) -> str:
     """Return a text with short names spelled out, such as "least squares + neural network" for "LS+BPNN".
 
     If the whole text is the name of a plant (a simulated true arm), the plant's description follows in brackets. Parts
-    of longer names, such as those of files, are not changed.
+    of longer names, such as file names, are not changed.
     """
     if text in PLANTS:
         return f"{text} ({PLANTS[text]})"

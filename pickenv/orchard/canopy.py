@@ -90,7 +90,7 @@ def _apart(upright: Array, low: Array, high: Array, diameters: Array, canopy: Ca
         low: Lowest corner of each fruit's block, m, (n, 3).
         high: Highest corner of each fruit's block, m, (n, 3).
         diameters: Fruit diameters, m, (n,).
-        canopy: The canopy, whose lean and volume the fruit get.
+        canopy: The canopy, which gives lean and volume.
 
     Raises:
         InputError: If fruit cannot be kept apart.

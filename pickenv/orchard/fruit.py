@@ -227,7 +227,10 @@ load_branch = preset_files.loader("branch", Branch)
 
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
-    """Return the undamped angular frequencies of swings along x, y, z, rad/s, (..., 3), for fruit masses (...), kg."""
+    """Return the undamped angular frequencies of a fruit's swings along x, y and z, rad/s, (..., 3).
+
+    ``mass`` has the fruit masses, kg, (...).
+    """
     moving = checks.numbers("the mass of fruit (kg)", mass, positive=True) + branch.wood
     omega = np.empty((*moving.shape, 3))
     omega[..., 0] = omega[..., 1] = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)

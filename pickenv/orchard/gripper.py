@@ -211,7 +211,7 @@ def load_gripper(name: str | Path) -> Gripper:
 
 
 def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
-    """Return the class of the gripper that a gripper file's table describes: its key ``kind``, "cup" by default.
+    """Return the gripper class that the key ``kind`` of a gripper file's table names; "cup" if the key is missing.
 
     Raises:
         InputError: If there is no such kind.

@@ -228,7 +228,7 @@ def turned_leaves(places: ArrayLike, look: Look, rng: np.random.Generator) -> Le
 def _background(look: Look, image: tuple[int, int], rng: np.random.Generator) -> Array:
     """Return a background image of light and dark patches, (height, width, 3), 0 to 255.
 
-    ``image`` is its width and height, px.
+    ``image`` is the width and height of the image, px.
     """
     coarse = 0.7 + 0.6 * rng.random((image[1] // look.patch + 1, image[0] // look.patch + 1))
     fine = np.kron(coarse, np.ones((look.patch, look.patch)))[: image[1], : image[0]]
@@ -271,7 +271,7 @@ class SightErrors(checks.Preset):
         spread: Standard deviation of the error along x, y and z, m.
         spread_low: Lower end of the confidence interval of ``spread``, m.
         spread_high: Upper end of the confidence interval of ``spread``, m.
-        correlation: Correlations of the errors along x and y, x and z, y and z.
+        correlation: Correlations between the errors along x and y, along x and z, and along y and z.
         part_bias: Mean error in each part of a range, m. A part has an equal share of the located fruit; the first part
             has the smallest errors, the last part the largest.
         part_spread: Standard deviation of the error in each part, m.
@@ -357,8 +357,8 @@ def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 
         looks: Number of images that are averaged. Averaging reduces the part of the error that differs between images.
 
     Returns:
-        Three arrays: whether each fruit is visible at least in part, (n,); whether it is located, (n,); and its
-        position error in the camera frame, m, (n, 3).
+        Three arrays. The first says whether each fruit is visible at least in part, (n,). The second says whether each
+        fruit is located, (n,). The third has the position error of each fruit in the camera frame, m, (n, 3).
     """
     from scipy.special import ndtr
 
@@ -441,7 +441,7 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
 
 
 Viewpoint = tuple[Array, Array]
-"""The midpoint between the two cameras, m, and their direction of view, (3,) each, in any frame with z up."""
+"""Two vectors (3,) in any frame with z up: the midpoint between the two cameras, m, and their direction of view."""
 
 
 def left_eye(camera: stereo.StereoCamera, view: Viewpoint) -> Array:
@@ -545,9 +545,9 @@ def located_fruit(
         diameters: Fruit diameters, m, (n,).
 
     Returns:
-        Three arrays: whether each fruit is located, (n,); measured positions of the fruit, m, (n, 3); and positions of
-        false detections, m, (m, 3). Positions are in the camera frame. For a fruit that is not located, the second
-        array has the true position.
+        Three arrays. The first says whether each fruit is located, (n,). The second has the measured position of each
+        fruit, m, (n, 3), or the true position of a fruit that is not located. The third has the positions of false
+        detections, m, (m, 3). Positions are in the camera frame.
     """
     located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)

@@ -198,8 +198,9 @@ def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Intege
         image: Image, uint8, (height, width, 3).
 
     Returns:
-        Two arrays: centroids, pixel column and pixel row, (m, 2); and bounding boxes, px, (m, 4). A box is first row,
-        first column, the row after the last, and the column after the last. Rows and columns count from 0.
+        Two arrays. The first has the regions' centroids, pixel column and pixel row, (m, 2). The second has their
+        bounding boxes, px, (m, 4): first row, first column, the row after the last, and the column after the last. Rows
+        and columns count from 0.
     """
     require("skimage")
     from skimage.measure import label, regionprops
@@ -259,8 +260,13 @@ def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> t
 def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers) -> tuple[float, float]:
     """Return the disparity of the patch around a region, px, and the correlation of its match, -1 without a match.
 
-    A parabola through three correlations refines the disparity. ``first`` is R − G of the left image, ``second`` of the
-    right image. ``box`` is the region's bounding box, as in `fruit_regions`.
+    A parabola through three correlations refines the disparity.
+
+    Args:
+        camera: The stereo pair.
+        first: R − G of the left image, (height, width).
+        second: R − G of the right image, (height, width).
+        box: The region's bounding box in the left image, as in `fruit_regions`.
     """
     from skimage.feature import match_template
 
@@ -318,7 +324,8 @@ class CircleSearch(checks.Preset):
 
 
 Edges = tuple[Array, Array]
-"""Sub-pixel positions of edges (k, 2), column and row, px, and unit gradients of R − G at the edges (k, 2)."""
+"""Two arrays about k edges of an image. The first has their sub-pixel positions, column and row, px, (k, 2). The second
+has the unit gradients of R − G there, (k, 2)."""
 
 
 load_circle_search = preset_files.loader("circles", CircleSearch)
@@ -333,8 +340,8 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]
         image: Image, uint8, (height, width, 3).
 
     Returns:
-        Two arrays: column and row of the centre and radius of each circle, px, (m, 3), the circle with the most
-        complete rim first; and a mask of the pixels of fruit colour, (height, width).
+        Two arrays. The first has each circle's column and row of the centre, and radius, px, (m, 3). The circle with
+        the most complete rim comes first. The second is a mask of the pixels of fruit colour, (height, width).
     """
     from scipy import ndimage
 
@@ -414,8 +421,14 @@ def _taken(circles: list[tuple[float, float, float]], column: float, row: float,
 def _fitted(search: CircleSearch, edges: Edges, column: float, row: float, voted: float) -> tuple[float, float, float]:
     """Return column, row and radius, px, of a circle fitted to the edges near a circle that `_voted` returned.
 
-    The fit is by weighted least squares, in which far edges have small weights. ``voted`` is the radius that `_voted`
-    returned, px.
+    The fit is by weighted least squares, in which edges far from the circle have small weights.
+
+    Args:
+        search: Parameters of the circle detector.
+        edges: Edges of the image.
+        column: Column of the centre that `_voted` returned, px.
+        row: Row of the centre that `_voted` returned, px.
+        voted: Radius that `_voted` returned, px.
     """
     centre, radius = np.array([column, row]), voted
     near = np.hypot(*(edges[0] - centre).T) < voted + 2 * search.rim
@@ -442,7 +455,11 @@ def _fitted(search: CircleSearch, edges: Edges, column: float, row: float, voted
 def _window(shape: tuple[int, ...], column: float, row: float, reach: float) -> tuple[Integers, Integers, Array]:
     """Return row, column and distance from a point, px, of each pixel in the square around the point.
 
-    ``shape`` is the height and width of the image, and ``reach`` half the edge of the square, px.
+    Args:
+        shape: Height and width of the image, px.
+        column: Column of the point, px.
+        row: Row of the point, px.
+        reach: Half the edge of the square, px.
     """
     rows = np.arange(max(math.ceil(row - reach), 0), min(math.floor(row + reach) + 1, shape[0]))
     columns = np.arange(max(math.ceil(column - reach), 0), min(math.floor(column + reach) + 1, shape[1]))
@@ -485,9 +502,16 @@ def _matched(
 ) -> tuple[float, float]:
     """Return the disparity of a circle, px, and the agreement of its match, 0 to 1; -1 if there is no match.
 
-    The agreement is 1 - mean((difference / contrast)^2). Each pixel's difference is clipped to the contrast. ``first``
-    is R − G of the left image, ``second`` of the right image. ``mask`` has the fruit pixels of the left image, and
-    ``circle`` is column, row and radius, px.
+    The agreement is 1 - mean((difference / contrast)^2) over the matched pixels. Each difference is clipped to the
+    contrast.
+
+    Args:
+        camera: The stereo pair.
+        search: Parameters of the circle detector, with the contrast.
+        first: R − G of the left image, (height, width).
+        second: R − G of the right image, (height, width).
+        mask: Mask of the fruit pixels of the left image, (height, width).
+        circle: Column and row of the centre in the left image, and radius, px.
     """
     from scipy import ndimage
 

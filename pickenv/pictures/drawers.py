@@ -2,7 +2,7 @@
 
 MuJoCo needs EGL, and a driver that fails might end the whole program. So MuJoCo is first tried in another process.
 Pillow draws flat shapes: rods as strokes, balls as discs, and meshes as triangles lit by one lamp. It draws them from
-far to near by their depths, also where solids intersect. With either of the two, words and the dial (the tool's miss,
+far to near by their depths, also where solids intersect. With either library, words and the dial (the tool's miss,
 seen along the tool) are drawn onto the picture with Pillow. Units: px, mm on the dial.
 """
 
@@ -198,9 +198,10 @@ def _write(
 
 
 def _draw_dial(pen: ImageDraw.ImageDraw, dial: Dial, stage: Stage) -> None:
-    """Draw the dial, whose width is the share `DIAL` of the picture's height, into the lower right corner.
+    """Draw the dial into the lower right corner of a picture.
 
-    Its radius is `SHOWN` times its ring's radius. Misses beyond the dial are drawn at the share `RIM` of its radius.
+    The dial's width is the share `DIAL` of the picture's height. The dial's radius is `SHOWN` times the ring's radius.
+    A miss outside the dial is drawn at the share `RIM` of the dial's radius.
     """
     width, height = stage.size
     half = DIAL * height / 2
@@ -235,7 +236,8 @@ def _font(height: int) -> ImageFont.FreeTypeFont:
 class Window:
     """A matplotlib window that shows one picture after another.
 
-    If the environment variable MPLBACKEND is "agg", it shows nothing and raises no error, for tests without a screen.
+    If the environment variable MPLBACKEND is "agg", the window shows nothing and raises no error. Tests without a
+    screen use this.
 
     Raises:
         InputError: If there is no display.

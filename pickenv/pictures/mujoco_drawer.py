@@ -188,8 +188,11 @@ def _still_triangles(still: tuple[Mesh, ...]) -> Mesh:
 def _model(side: int, width: int, height: int, faces: int) -> str:
     """Return the MJCF text of a model whose textures and soft body have room for ``faces`` triangles.
 
-    ``side`` is the width and height of the texture with the faces' colours, px; ``width`` and ``height`` are the
-    width and height of pictures, px.
+    Args:
+        side: Width and height of the texture with the faces' colours, px.
+        width: Width of pictures, px.
+        height: Height of pictures, px.
+        faces: Number of triangles.
     """
     count = faces // 8 + 1
     return f"""<mujoco>

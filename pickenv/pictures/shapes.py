@@ -139,7 +139,7 @@ BRIGHTER = 1.35
 
 
 def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: ArrayLike = True) -> Solids:
-    """Return the solids of fruit, with stems where it hangs.
+    """Return the solids of fruit; hanging fruit has a stem.
 
     Args:
         places: Positions of the fruit (N, 3), m.
@@ -205,10 +205,13 @@ def _branch(start: ArrayLike, end: ArrayLike, radius: float) -> Mesh:
 
 @lru_cache(maxsize=8)
 def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
-    """Return the mesh of level ground around the point ``x``, ``y``, m, at a ``height``, m, in the world frame.
+    """Return the mesh of level ground around a point in the world frame. Equal arguments give the same object.
 
-    ``dark`` says whether the background is dark; `GROUND` has the two colours of the ground's squares for either.
-    Equal arguments give the same object.
+    Args:
+        x: x of the point, m.
+        y: y of the point, m.
+        height: Height of the ground, m.
+        dark: Whether the background is dark; it selects the colours of the ground's squares in `GROUND`.
     """
     return chequered((x - SPREAD / 2, y - SPREAD / 2), (x + SPREAD / 2, y + SPREAD / 2), height, SQUARE, GROUND[dark])
 
@@ -355,7 +358,7 @@ def arm_at_work(
 
 
 def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
-    """Return the solids of a cup with a wall of `WALL`, m, that holds the lower half of a fruit.
+    """Return the solids of a cup that holds the lower half of a fruit; its wall has the thickness `WALL`, m.
 
     Args:
         tool: Position of the fruit ``(3,)``, m.

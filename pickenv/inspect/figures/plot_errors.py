@@ -160,9 +160,15 @@ class _View:
 
 
 def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, top: float) -> None:
-    """Draw arrows of ``error`` ``(N, 3)`` at ``start`` ``(N, 3)``, m, from far to near; colours end at ``top`` mm.
+    """Draw errors as arrows, from far to near.
 
-    Arrows are drawn ``gain`` times longer than true.
+    Args:
+        axes: The panel.
+        view: The projection.
+        start: Points at which the arrows start ``(N, 3)``, m.
+        error: The errors ``(N, 3)``, m.
+        gain: Factor by which arrows are drawn longer than the errors.
+        top: Upper end of the colour scale, mm.
     """
     order = np.argsort(view.depth(start))
     start, error = start[order], error[order]

@@ -54,7 +54,7 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
 
 
 def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
-    """Draw one tree's fruit from the side, coloured by the arm that collected each, in a panel per strategy.
+    """Draw one tree's fruit from the side, each coloured by the arm that collected it, in a panel per strategy.
 
     Boxes are the zones of the tree that the machine pictured and picked, one after the other. Red crosses are fruit
     that no arm collected.

@@ -104,10 +104,16 @@ def estimates_figure(
 
 
 def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None) -> str:
-    """Return a figure's title, which states estimates of the first panel by the column ``colour``.
+    """Return a figure's title, which states some estimates of the first panel.
 
-    With ``x``, the estimates are those at the end of the lines. For a single line, they are its first and its last
-    estimate. Without ``x``, each value of ``colour`` has its first estimate. ``panels`` is the column of the panels.
+    With a column ``x``, the title has the last estimate of each line, or the first and the last estimate of a single
+    line. Without ``x``, the title has the first estimate of each value of ``colour``.
+
+    Args:
+        rows: The estimates.
+        x: Column along the x axis; None for whiskers.
+        colour: Column whose values have a colour each.
+        panels: Column whose values have a panel each; None for a single panel.
     """
     first = [row for row in rows if panels is None or row[panels] == rows[0][panels]]
     if x is not None and len(first) == len({row[x] for row in first}):
@@ -139,7 +145,13 @@ def _lines(
 ) -> None:
     """Draw a line with its band for each combination of values in the columns ``names``.
 
-    ``x`` is the column along the x axis. ``colours`` has the line's colour for each value in the column ``colour``.
+    Args:
+        axis: The panel.
+        rows: The estimates.
+        x: Column along the x axis.
+        names: Columns whose values identify a line.
+        colour: Column whose values have a colour each.
+        colours: Colour of each value in the column ``colour``.
     """
     series: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
@@ -220,7 +232,7 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
 
 
 def difference_map(comparison: Comparison) -> Figure:
-    """Draw a map of the workspace, coloured by the position error of the last policy minus that of the first, mm.
+    """Draw a map of the workspace, coloured by the last policy's position error minus the first policy's, mm.
 
     Each of three panels shows one layer of the workspace from above, with differences averaged over the layer's height.
     """

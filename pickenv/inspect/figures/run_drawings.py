@@ -166,10 +166,15 @@ def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
 
 
 def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing:
-    """Return the figure of errors against a condition, or the reason if it was not recorded or never changed.
+    """Return the figure of errors against a condition, or the reason why there is none.
 
-    ``values`` is the condition at each held-out pose ``(M,)``, in ``unit``; None if it was not recorded. ``errors_mm``
-    has the errors ``(M,)``, mm, of each model by label.
+    There is no figure if the condition was not recorded or never changed.
+
+    Args:
+        name: Name of the condition.
+        unit: Unit of the condition.
+        values: The condition at each held-out pose ``(M,)``, in ``unit``; None if it was not recorded.
+        errors_mm: Errors of each model ``(M,)``, mm, by label.
     """
     drawing = f"error_against_{name}"
     if values is None:

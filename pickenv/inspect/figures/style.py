@@ -38,7 +38,8 @@ MARKS = "os^Dv"
 _SHEET: Any = matplotlib.rc_params_from_file(Path(__file__).parent / "pickenv.mplstyle", use_default_template=False)
 STYLE: dict[str, Any] = dict(_SHEET)
 INK, SOFT, RULE, PAPER = STYLE["text.color"], STYLE["axes.edgecolor"], STYLE["grid.color"], "#ffffff"
-"""Colours of text and markers, axes and secondary parts, grid lines, background; HTML pages put theirs in place."""
+"""Colours of text and markers, of axes and secondary parts, of grid lines, and of the background. HTML pages replace
+these colours by their own."""
 
 THEME: dict[str, str] = {INK: "ink", SOFT: "soft", RULE: "rule", PAPER: "paper"} | {
     "#{:02x}{:02x}{:02x}".format(*colour): variable

@@ -33,15 +33,15 @@ MOST_MOMENTS = 3.0
 PAUSE = 9
 """Number of moments for which the last moment of an episode is shown."""
 STILL_STEP = 5e-4
-"""A tool that moves less than this between two moments has arrived, m."""
+"""Distance, m, within which the tool stays from one moment to the next when it has arrived."""
 FALLEN = 0.06
-"""A recorded fruit that moves by more than this between two moments is another fruit, m."""
+"""Distance between the recorded fruit positions of two moments, m, above which they belong to two fruit."""
 MISS: dict[bool, Rgb] = {False: RED, True: (255, 128, 128)}
 """Colour of text about a miss, on a light (False) and on a dark (True) background."""
 FRUIT = 0.06
 """Diameter with which every fruit is drawn, m. Recordings hold only the positions of fruit."""
 SAME_FRUIT = 0.045
-"""Smallest distance between two fruit, m. Points nearer together than this, at which tools aim, count as one fruit."""
+"""Smallest distance between two fruit, m. If tools aim at points nearer together, these points count as one fruit."""
 LEAVES = 1.25
 """Leaf area per volume of the drawn trees, m²/m³, as in the canopy `li2016`."""
 AROUND = 0.16
@@ -61,8 +61,9 @@ Progress = Callable[[str, int, int], None]
 
 
 Attempt: TypeAlias = tuple[int, int, int, bool]
-"""A policy's attempt at one fruit in one episode: the moments at which it begins, at which the gripper closes (until
-then the fruit hangs still), and at which the fruit is collected or missed; and whether it was collected."""
+"""A policy's attempt at one fruit in one episode, as four values: the moment at which the attempt begins, the moment at
+which the gripper closes, the moment at which the fruit is collected or missed, and whether it is collected. The fruit
+hangs still until the gripper closes."""
 
 
 @dataclass(frozen=True)
@@ -319,7 +320,7 @@ def film_stage(film: Film, number: int, side: int) -> Stage:
 def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, moment: int, colour: Rgb) -> Solids:
     """Return the solids of the true arm with its gripper, and of the ghost (the arm as its controller believes it).
 
-    If the environment has no arm, the solids are those of the gripper alone.
+    If the environment has no arm, the solids of the gripper are returned alone.
 
     Args:
         episodes: The run's episodes.
@@ -349,9 +350,14 @@ def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
 
 
 def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids:
-    """Return the solids of an episode's fruit at moment ``now`` of a policy, and of a crate with ``picked`` fruit.
+    """Return the solids of an episode's fruit at one moment, and of a crate with the picked fruit.
 
-    ``side`` is the index of the policy in the film. All indices are from 0.
+    Args:
+        film: The film.
+        side: Index of the policy among the film's policies, from 0 on the left.
+        episode: Index of the episode, from 0.
+        now: Index of the moment in the episode, from 0.
+        picked: Number of fruit in the crate.
     """
     track, places = film.policies[side].fruit_position[episode], film.fruit[episode].copy()
     present, in_cup, missed = np.ones(len(places), dtype=bool), *np.zeros((2, len(places)), dtype=bool)
@@ -383,10 +389,16 @@ def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
 
 
 def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
-    """Return where the tool was relative to the fruit each time that a policy's gripper closed ``(K, 2)``, mm.
+    """Return the tool's position relative to the fruit at each of K closings of a policy's gripper ``(K, 2)``, mm.
 
-    All K closings count from the film's first episode to moment ``now`` of ``episode``. ``side`` is the index of the
-    policy in the film. The components are those of `seen_along`, which views the fruit along the tool's axis.
+    The closings are counted from the run's first episode to moment ``now`` of ``episode``. `seen_along` gives the two
+    components, which are across the tool's axis.
+
+    Args:
+        film: The film.
+        side: Index of the policy among the film's policies, from 0 on the left.
+        episode: Index of the episode, from 0.
+        now: Index of the moment in the episode, from 0.
     """
     policy, attempts = film.policies[side], film.attempts[side]
     closed = [(e, t) for e in range(episode + 1) for _, t, *_ in attempts[e] if e < episode or t <= now]

@@ -374,7 +374,7 @@ def inspect_evaluation(
     """Write a recording of the final errors of several policies at the same fruit.
 
     Args:
-        runs: The final states of each policy's episodes, by the policy's label. The first policy is the one without
+        runs: The final states of each policy's episodes, by the policy's label. The first policy has no
             calibration (raw). All policies have the same fruit.
         plant: The simulated true arm, or the plant that a population of arms was drawn from.
         path: The file to write (.rrd).
@@ -411,7 +411,7 @@ def inspect_evaluation(
 def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: int) -> Comparison:
     """Return a comparison of raw, LS and, if learnt, LS with residual, each driving the plant over its workspace.
 
-    ``grid_step`` and ``seed`` are those of `inspect_calibration`.
+    ``grid_step`` and ``seed`` are as for `inspect_calibration`.
     """
     if calibration.arm_fingerprint != plant.arm.fingerprint():
         raise InputError(

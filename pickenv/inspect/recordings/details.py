@@ -92,7 +92,16 @@ def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
-    """Send an arm as URDF, which the joint commands ``joints`` ``(R, n)``, rad or m, move from reach to reach."""
+    """Send an arm as URDF, and its motion from reach to reach.
+
+    Args:
+        scribe: Writer of the recording, whose times are the reaches.
+        name: Name of the arm.
+        geometry: Geometry of the arm.
+        joints: Joint command of each reach ``(R, n)``, rad or m.
+        colour: Colour of the arm, RGB in 0..255.
+        fill_mode: Rerun's fill mode, such as "solid".
+    """
     with tempfile.TemporaryDirectory() as folder:
         tree = rr.urdf.UrdfTree.from_file_path(
             write_urdf(geometry, Path(folder) / f"{name}.urdf", name),
@@ -115,14 +124,15 @@ def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, col
 
 
 NO_FIELD = 1e-9
-"""Smallest displacement of the settled tool, m. An effect that displaces it by less everywhere has no field to show."""
+"""Smallest displacement of the settled tool, m. The field of an effect is left out if it is smaller everywhere."""
 FLOOR = "floor"
 """Key of the attitude error that no joint motion removes."""
 
 
 ArrowTab: TypeAlias = tuple[str, float, Mapping[str, tuple[str, Array, Array]]]
-"""Fields of arrows, side by side: the unit of the errors, mm or deg; the upper end of the colour scale in that unit;
-and by entity, a title, the arrows as drawn ``(F, 3)``, m, and the errors that they show ``(F, 3)``, in that unit."""
+"""Fields of arrows, side by side, as three values: the unit of the errors, mm or deg; the upper end of the colour scale
+in this unit; and the fields, by entity. A field has a title, the arrows as drawn ``(F, 3)``, m, and the errors that the
+arrows show ``(F, 3)``, in the unit."""
 LEGENDS = {"mm": "position", "deg": "attitude"}
 """Keys of colour scales, by the scale's unit."""
 
@@ -149,7 +159,10 @@ def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
 
 
 def _titled(label: str, field: Array, arrows: str = "") -> tuple[str, Array, Array]:
-    """Return the entry of an `ArrowTab` for position errors ``field`` ``(F, 3)``, m; ``arrows`` precedes the factor."""
+    """Return a field of an `ArrowTab` for position errors ``field`` ``(F, 3)``, m.
+
+    The title has the ``label``, the mean error, and the factor on arrows. The text ``arrows`` precedes the factor.
+    """
     mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
     return f"{label} | mean {mean:.2f} mm | {arrows}×{GAIN:g}", GAIN * field, 1e3 * field
 
@@ -170,7 +183,7 @@ def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> Arro
 def effect_fields(comparison: Comparison) -> dict[str, Array]:
     """Return the position error field ``(F, 3)``, m, of each cause alone on the nominal arm, by the cause's name.
 
-    Causes are each active effect of the true arm, and its true geometry. The fields are those of the steady state: the
+    Causes are each active effect of the true arm, and its true geometry. The fields are for the steady state: the
     tool is settled, the arm warm and the machine sunk. Effects that vanish in the steady state have no field.
     """
     plant, joints = comparison.plant, comparison.grid.joints
@@ -182,8 +195,8 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
     """Return fields of attitude errors ``(F, 3)``, rotation vectors, rad; an empty dictionary if attitudes are unknown.
 
-    There are three fields. The first policy and the last policy have their errors by the policy's key. The key `FLOOR`
-    has the part of the last policy's errors that no joint motion removes.
+    The key of the first policy has this policy's errors, and so has the key of the last policy. The key `FLOOR` has the
+    part of the last policy's errors that no joint motion removes.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     if first.field_attitude is None or last.field_attitude is None:
@@ -205,10 +218,11 @@ DAY_HOURS = 8.0
 CAMERA_STD = 1e-3
 """Standard deviation of a camera's measurement of the tool position, per axis, m."""
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
-"""Noise that the Kalman filter assumes: the camera's, and 0.5 mm for errors that geometry cannot explain."""
+"""Measurement noise that the Kalman filter assumes: the camera's noise, and 0.5 mm for errors that geometry cannot
+explain."""
 PRIOR, WALK = 0.2, 0.3
-"""The Kalman filter's prior standard deviation of each parameter after calibration, and its random walk per square root
-of an hour, both in units of the parameter's tolerance."""
+"""Assumptions of the Kalman filter about each parameter of the arm, in units of the parameter's tolerance. The first is
+the standard deviation after calibration. The second is the random walk per square root of an hour."""
 FILTERED = 10
 """Largest number of machines with a Kalman filter, which takes more time than the other parts of a recording."""
 FEWEST_LOOKS = 10
@@ -221,8 +235,9 @@ ADAPTED = "adapted"
 
 Day: TypeAlias = Mapping[str, tuple[str, Array]]
 """Labels and position errors, mm, of the same reaches over a day, while the arm warms up and the machine tilts and
-sinks: by a policy's key, of every reach at every time ``(R times, R reaches)``; by `ADAPTED`, of the last policy with
-commands that a filter corrects ``(R times, M machines)``, each beginning with another reach, if there are enough."""
+sinks. The key of a policy has the errors of every reach at every time ``(R times, R reaches)``. If there are enough
+reaches, the key `ADAPTED` has the errors of the last policy with commands that a filter corrects ``(R times, M
+machines)``. Each machine begins with another reach."""
 
 
 def day_hours(comparison: Comparison) -> Array:
@@ -302,9 +317,13 @@ def day_of(comparison: Comparison) -> Day:
 
 
 def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:
-    """Return the states of M machines after a pick of ``dt`` seconds, and their tool positions ``(M, 3)``, m.
+    """Return the states of M machines after one pick, and their tool positions ``(M, 3)``, m.
 
-    The machines start in ``state``, and their commands are ``joints`` ``(M, n)``, rad or m.
+    Args:
+        plant: The machines' plant (simulated true arm).
+        state: States of the machines before the pick.
+        joints: Joint commands of the machines ``(M, n)``, rad or m.
+        dt: Duration of the pick, s.
     """
     state, frame = plant.advance(np, state, split_joints(plant.geometry.joints, joints), dt)
     return state, np.stack(np.broadcast_arrays(*frame[9:12]), axis=-1)
@@ -314,9 +333,9 @@ def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     """Return the position errors ``(R, M)``, mm, of M machines whose filters correct the last policy's commands.
 
     Each machine has a Kalman filter of the arm's parameters, which learns after each of R picks. Picks are ``dt``
-    seconds apart. At first the filter takes the arm that executes the policy's commands for the nominal arm, as
-    `AdaptiveReach` does behind a compensator. It corrects the joint values at which the nominal tool is at the fruit.
-    This correction is added to the policy's command.
+    seconds apart. The filter treats the true arm and the policy's corrections of commands as one arm. At first the
+    filter assumes that this is the nominal arm, as `AdaptiveReach` does behind a compensator. The filter corrects the
+    joint values at which the nominal tool is at the fruit. This correction is added to the policy's command.
     """
     nominal, count = comparison.nominal, len(comparison.fruit)
     commands = comparison.policies[-1].ends.joint_command

@@ -169,7 +169,7 @@ def has_arm(scene: Scene, info: Mapping[str, Any]) -> bool:
 
 
 def has_fruit(info: Mapping[str, Any]) -> bool:
-    """Return whether the vector from fruit to tool can be drawn: `info` has tool and fruit positions."""
+    """Return whether the vector from fruit to tool can be drawn, that is whether `info` has both positions."""
     return set(POSITIONS) <= set(info)
 
 
@@ -212,7 +212,8 @@ NEAREST_MM = 1e-4
 MOST_CURVES = 50
 """Largest number of episodes with curves on `episode_time`; later episodes have curves on the other time lines only."""
 WIDTHS = (1.8, 1.2, 0.8, 0.5)
-"""Line widths of a policy's curves that share a unit, used in turn, points."""
+"""Line widths of a policy's curves that share a unit, points, from the first curve on. All further curves have the last
+of these widths."""
 
 
 def decades(distance_mm: Array) -> Array:
@@ -283,7 +284,12 @@ def send_steps(
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
     """Send names, colours and widths of an entity's curves, and of the overlaid curves of its single episodes.
 
-    ``names`` has one name per curve; all curves have one colour.
+    Args:
+        scribe: Writer of the recording.
+        entity: Path of the curves.
+        rows: Recorded steps of the episodes.
+        names: Name of each curve.
+        colour: Colour of all curves, RGB in 0..255.
     """
     widths = [WIDTHS[min(i, len(WIDTHS) - 1)] for i in range(len(names))]
     looks = rr.SeriesLines(names=list(map(in_words, names)), colors=[colour] * len(names), widths=widths)
@@ -292,9 +298,15 @@ def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[s
 
 
 def _strung(scene: Scene, rows: Sequence[Row], begin: int) -> tuple[NDArray[np.int64], Array]:
-    """Return indices ``(T,)`` of ``rows`` among all recorded steps, from 0, and their times ``(T,)``, s, on `sim_time`.
+    """Return two arrays: the indices of rows among all recorded steps ``(T,)``, and the rows' times ``(T,)``, s.
 
-    ``begin`` is the index of the first of ``rows``.
+    Args:
+        scene: What all environments of the recording have in common.
+        rows: T successive recorded steps.
+        begin: Index of the first of these rows among all recorded steps, from 0.
+
+    Returns:
+        The indices, from 0, and the times on the time line `sim_time`.
     """
     moments = np.arange(begin, begin + len(rows))
     return moments, scene.period * moments + GAP * np.array([row.order for row in rows])
@@ -306,8 +318,15 @@ def _send_numbers(
     """Send numbers ``values`` ``(T, k)`` of T rows on every time line.
 
     All episodes follow one another on `step` and `sim_time`, and are overlaid on `episode_time`. The time line
-    `episode` has the last numbers of each episode. ``begin`` is the index, from 0, of the first row among all recorded
-    steps.
+    `episode` has the last numbers of each episode.
+
+    Args:
+        stream: The recording.
+        scene: What all environments of the recording have in common.
+        entity: Path of the numbers.
+        rows: T successive recorded steps.
+        begin: Index of the first of these rows among all recorded steps, from 0.
+        values: k numbers of each row ``(T, k)``.
     """
     first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
     moments, seconds = _strung(scene, rows, begin)
@@ -340,8 +359,8 @@ def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike
 def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
     """Return points along the believed arm and along the true arm, ``(T, K, 3)`` each, m.
 
-    The believed arm is the nominal arm where its controller believes it to be. The true arm is drawn as the nominal arm
-    at the joint command, moved so that its tool is at the true tool.
+    The believed arm is the nominal arm at the joint values at which its controller believes it to be. The true arm is
+    drawn as the nominal arm at the joint command, moved so that its tool is at the true tool.
     """
     assert scene.nominal is not None
     command = column(rows, "joint_command")

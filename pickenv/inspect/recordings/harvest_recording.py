@@ -101,10 +101,15 @@ def _send_strip(scribe: Scribe, entity: str, points: Array, colour: Rgb, radius:
 
 
 def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: float) -> None:
-    """Send the lane of the slave arm ``arm`` (index from 0) in the Gantt chart, with the end of each pick.
+    """Send the lane of a slave arm in the Gantt chart, with the outcome of each pick.
 
-    The arm is carried by the master, travels, or is out on a pick. ``arrival`` is the time, s, at which the master
-    stands.
+    At each time the master carries the arm, or the arm travels, or it is out on a pick.
+
+    Args:
+        stream: The recording.
+        arm: Index of the slave arm, from 0.
+        shown: The round, that is a picture of a zone and the picks that follow.
+        arrival: Time at which the master stands and picking begins, s.
     """
     mine = np.flatnonzero(shown.times.arm == arm)
     moments, states = [0.0, arrival], ["carried", "travel"]

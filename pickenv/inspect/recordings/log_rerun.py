@@ -238,7 +238,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
     ) -> None:
         """Log the environments of ``env`` whose indices, from 0, are in ``indices``.
 
-        All other arguments are those of `LogRerun`. Each environment counts its own episodes and steps, and the
+        All other arguments are as for `LogRerun`. Each environment counts its own episodes and steps, and the
         triggers get these counts.
 
         Raises:

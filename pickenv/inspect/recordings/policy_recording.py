@@ -100,9 +100,10 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
 
 
 def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
-    """Return entity name, title and errors ``(F, 3)``, m, of each policy's error field and of the difference field.
+    """Return the error field of each policy, and the difference field.
 
-    The difference is the first policy's errors minus the last policy's errors. For a single policy there is none.
+    A field is given by the name of its entity, its title, and its errors ``(F, 3)``, m. The difference is the first
+    policy's errors minus the last policy's errors. For a single policy there is none.
     """
     policies = comparison.policies
     first, last = policies[0], policies[-1]
@@ -113,7 +114,11 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
 
 
 def _field_scale(comparison: Comparison) -> tuple[float, float, Array]:
-    """Return what all fields share: upper end of colours, mm, factor on arrows, and shift from field to field, m."""
+    """Return three values that all error fields share.
+
+    The first is the upper end of the colour scale, mm. The second is the factor by which arrows are longer than true.
+    The third is the shift from one field to the next ``(3,)``, m.
+    """
     top = max(scale_end(field_mm(policy)) for policy in comparison.policies)
     return top, field_gain(comparison.grid.step, top), APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
 
@@ -150,9 +155,10 @@ def _field_tab(comparison: Comparison) -> Any:
 
 
 def _box(episodes: RecordedEpisodes) -> tuple[Array, Array, Array]:
-    """Return two opposite corners ``(3,)``, m, of a box around tools, fruit and base, and a shift ``(3,)``, m.
+    """Return the box around tools, fruit and base, and the shift between the scenes of two policies.
 
-    The first corner has the smallest coordinates. The shift leads from a policy's scene to the next policy's scene.
+    The box is given by two opposite corners ``(3,)`` each, m. The first corner has the smallest coordinates. The shift
+    ``(3,)``, m, leads from a policy's scene to the next policy's scene.
     """
     points = [values.reshape(-1, 3) for p in episodes.policies for values in (p.tool_position, p.fruit_position)]
     if episodes.nominal is not None:

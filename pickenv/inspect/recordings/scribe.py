@@ -119,8 +119,8 @@ class Scribe:
             entity: Name of the field.
             origins: Points at which the arrows start ``(N, 3)``, m.
             arrows: The arrows as drawn ``(N, 3)``, m.
-            values: The vectors ``(N, 3)``, in ``unit``, whose length gives the colour, and which a click on an arrow
-                shows.
+            values: The vectors ``(N, 3)``, in ``unit``. Their lengths give the colours. A click on an arrow shows its
+                vector.
             top: Upper end of the colour scale, in ``unit``.
             unit: Unit of ``values``.
         """

@@ -14,7 +14,7 @@ from pickenv.inspect.runs.run_folder import CONDITIONS, Run, TakePicture, load_r
 SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}
 """Axis labels of the conditions, which are varied one at a time while the others stay at the reference."""
 HELD_OUT = "held-out sessions"
-"""Key of the held-out sessions, whose conditions were drawn in the same way as those of the training sessions."""
+"""Key of the held-out sessions. Their conditions were drawn in the same way as the training sessions' conditions."""
 
 
 def drawings(run: Run) -> Drawings:

@@ -29,7 +29,8 @@ from pickenv.inspect.figures.style import THEME, style
 from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
 PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
-"""Scales of a figure, px per point: its text is as large as the page's, or just legible, below which it scrolls."""
+"""Largest and smallest scale of a figure, px per point. At the largest scale, its text is as large as the page's. At
+the smallest scale, its text is just legible. If there is less room than for this scale, the figure scrolls."""
 HERE = Path(__file__).parent / "templates"
 
 

@@ -42,11 +42,12 @@ def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, 
 def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]:
     """Return the lateral misalignment of each reach, and the probability that each gripper takes its fruit.
 
-    The tool's axis is that of the true arm. The wanted axis is that of the nominal arm at the first policy's command.
+    The true arm at the policy's command gives the tool's axis. The nominal arm at the first policy's command gives the
+    wanted axis.
 
     Returns:
-        For each policy, by label: distances of the fruit from the tool's axis ``(R,)``, mm, and for each gripper the
-        probability that it takes the fruit ``(R,)``.
+        Two values for each policy, by label. The first is the distances of the fruit from the tool's axis ``(R,)``, mm.
+        The second is, for each gripper by name, the probability that the gripper takes the fruit ``(R,)``.
     """
     grippers = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
@@ -69,8 +70,9 @@ RINGS, SPOKES = 24, 24
 
 
 Change: TypeAlias = Mapping[str, Any]
-"""The effect of a calibration on picks, as in JSON: name of the ``gripper``, standard deviation of the perceived fruit
-position per axis, ``perception_mm``, and shares of fruit taken without and with calibration, ``before``, ``after``."""
+"""The effect of a calibration on picks, as in JSON. ``gripper`` is the gripper's name. ``perception_mm`` is the
+standard deviation of the perceived fruit position, per axis. ``before`` is the share of fruit taken without
+calibration, and ``after`` the share with calibration."""
 
 
 def _gain(change: Change) -> float:
@@ -351,7 +353,7 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
 
     The best policy has the least mean distance from tool to fruit when the gripper closes. The rival is the first other
     policy in ``episodes.policies`` that closed the gripper for some of the same fruit; without a rival the result is
-    empty. Only the part of this distance across the tool's axis counts.
+    empty. Picks are computed from the part of this distance that is across the tool's axis.
     """
     best, rivals = _best(episodes)
     if best is None or not rivals:
@@ -424,7 +426,7 @@ def stage_label(calibration: Calibration) -> str:
 GAIN = 20.0
 """Factor by which recordings draw errors longer than true. Figures use it too if the arrows then fit."""
 SCALE_PERCENTILE = 99.0
-"""The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
+"""Percentile of the shown values at which a colour scale ends, so that outliers do not flatten the scale."""
 
 
 def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
@@ -442,11 +444,14 @@ def field_mm(policy: RecordedPolicy) -> Array:
 
 
 def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return sorted indices of the C grid cells with points ``(C, 3)``, and the mean of each cell's values ``(C,)``.
+    """Return the indices of the C grid cells that contain points, sorted, and the mean of the values in each cell.
 
     Args:
         index: Indices, from 0 along x, y and z, of the cell of each point ``(F, 3)``.
         values: Value at each point ``(F,)``.
+
+    Returns:
+        The indices ``(C, 3)``, and the means ``(C,)``.
     """
     cells, cell = np.unique(index, axis=0, return_inverse=True)
     cell = cell.reshape(-1)
@@ -520,7 +525,7 @@ def summary_markdown(comparison: Comparison) -> str:
 
 
 def _better(comparison: Comparison) -> str:
-    """Return a sentence on the share of field points where the last policy errs less than the last but one.
+    """Return a sentence on the share of field points at which the last policy errs less than the last but one.
 
     With fewer than two policies the text is empty.
     """

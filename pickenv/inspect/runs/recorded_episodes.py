@@ -79,7 +79,7 @@ MOMENTS = (
 
 @dataclass(frozen=True, eq=False)
 class RecordedPolicy:
-    """One policy's E episodes of at most T moments (recorded steps), of which the reset is the first.
+    """One policy's E episodes of at most T moments (recorded steps). The first moment is the reset.
 
     A shorter episode repeats its last moment. If only the final states of episodes are kept (`ended`), each episode has
     one moment.
@@ -253,7 +253,7 @@ class FieldGrid:
 class Comparison(RecordedEpisodes):
     """Several policies on the same simulated arm, with their errors over a field of poses.
 
-    The first policy is the one without calibration (raw).
+    The first policy has no calibration (raw).
 
     Attributes:
         plant: The true arm that was simulated.

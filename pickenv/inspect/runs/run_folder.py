@@ -54,8 +54,9 @@ def capsules(points: Array, parts: list[int]) -> tuple[Array, Array, Array]:
         parts: Indices, from 0, of the first points of the P segments, from `drawn_parts`.
 
     Returns:
-        Centres of the capsules' first ends ``(..., P, 3)``, m; distances between the centres of their two ends ``(...,
-        P)``, m; quaternions that turn the z axis into their directions ``(..., P, 4)``, order x, y, z, w.
+        Three arrays. The first has the centre of each capsule's first end ``(..., P, 3)``, m. The second has the
+        distance between the centres of the two ends ``(..., P)``, m. The third has the quaternion that turns the z axis
+        into the capsule's direction ``(..., P, 4)``, order x, y, z, w.
     """
     start, end = points[..., parts, :], points[..., [i + 1 for i in parts], :]
     along = end - start
