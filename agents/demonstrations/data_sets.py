@@ -57,8 +57,8 @@ SIGHT: Mapping[str, Any] = {
     "within_mm": 60.0,
     "feedback": "camera",
 }
-"""Arguments of the environment of task "sight". They add images, and add the gap that a camera measures to the
-state."""
+"""Arguments of the environment of task "sight". They add two things to the observations: images, and
+in the state the gap that a camera measures."""
 
 ARMS: Mapping[tuple[str, str], dict[str, Any]] = {
     ("scene", "expert"): {"plant": "ideal:so101"},

@@ -90,8 +90,8 @@ class Moment(NamedTuple):
     Attributes:
         reward: Reward of the step; 0 after the reset.
         info: The environment's info.
-        target: Joint values ``(n,)``, rad or m, to which the controller has sent the arm, and at which it believes the
-            arm to be. None if the environment does not report them.
+        target: Joint values ``(n,)``, rad or m, to which the controller has sent the arm. The controller believes that
+            the arm is there. None if the environment does not report them.
     """
 
     reward: float
@@ -298,7 +298,7 @@ class Kind:
 
     @property
     def steps(self) -> int:
-        """Number of steps in an episode in which such a policy is evaluated.
+        """Number of steps of each episode in which the policy is evaluated.
 
         It is smaller for a policy that learns from pick to pick; the longest move takes 20 steps.
         """
@@ -564,7 +564,10 @@ def _calibrated(
 ) -> tuple[str, Compensate | None]:
     """Return a calibration's name for labels and its compensator; "raw" and None without a calibration.
 
-    ``given`` is one entry of the argument ``compensate`` of `contenders_of`, which explains ``arm`` and ``allow`` too.
+    Args:
+        given: One entry of ``compensate`` of `contenders_of`.
+        arm: The arm, as in `contenders_of`.
+        allow: Reservations to accept, as in `contenders_of`.
     """
     if given is None:
         return "raw", None
@@ -585,9 +588,11 @@ def _name(policy: Given) -> str:
 
 
 def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
-    """Return one label per contender, made of what differs between them: the calibration, the policy, or both.
+    """Return one label per contender: its calibration, its policy, or both, whichever differ between contenders.
 
-    ``policies`` has the name of each contender's policy, and ``stages`` the name of its calibration, "raw" without one.
+    Args:
+        policies: Name of each contender's policy.
+        stages: Name of each contender's calibration; "raw" for a contender without one.
     """
     if len(set(policies)) == 1 and (len(policies) > 1 or stages[0] != "raw"):
         return list(stages)

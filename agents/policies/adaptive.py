@@ -204,7 +204,7 @@ class FeelingPick(ScriptedPick):
 def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation: str = "raw") -> Policy:
     """Make an `AdaptiveReach` for a level of camera noise; with a compensation it assumes smaller arm errors.
 
-    Their prior standard deviation is then the share `CALIBRATED_PRIOR` of the parameters' tolerances.
+    With a compensation, the prior standard deviation of each parameter is `CALIBRATED_PRIOR` times its tolerance.
 
     Args:
         env: Environment, which gives the nominal arm.
@@ -288,8 +288,8 @@ class RememberingPolicy(Actor):
 
     Attributes:
         memory: Layout of the observations: past picks and the next pick.
-        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`, which begin with the layers next to the
-            inputs.
+        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`. These names begin with the layers next
+            to the inputs.
     """
 
     memory: PickMemory

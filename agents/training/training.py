@@ -47,7 +47,7 @@ PARTS = {
     *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
     *("last", "starts", "env", "buffer", "memory"),
 }
-"""Names of the parts of a checkpoint's state, on which the continuation of a training depends."""
+"""Names of the parts of a checkpoint's state. The continuation of a training depends on these parts."""
 
 
 Evaluations = list[dict[str, float]]

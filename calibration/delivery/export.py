@@ -51,11 +51,13 @@ def onnx_document(calibration: Calibration, _: Order) -> Document:
 
 
 def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words: tuple[str, ...]) -> Any:
-    """Build the ONNX model of a network: inputs (sine and cosine of joints that turn far), two scalings, and layers.
+    """Build the ONNX model of a network, with the two scalings of its inputs.
+
+    Joints that turn far enter the network as sine and cosine.
 
     Args:
-        learnt: The learnt residual, of which ``learnt.inputs`` holds the first scaling.
-        network: The learnt residual's network, which holds the second scaling and the layers.
+        learnt: The learnt residual; its ``inputs`` hold the first scaling.
+        network: The network of the learnt residual; it holds the second scaling and the layers.
         geometry: The arm.
         words: Lines of the model's documentation.
     """

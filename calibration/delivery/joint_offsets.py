@@ -286,8 +286,12 @@ def _table(
 ) -> document.Document:
     """Make a document of rows: CSV below comment lines (None is an empty cell), or JSON if ``out`` ends in .json.
 
-    Each row is a dictionary with the same columns. ``form`` is the format's name and version, which stands in the
-    document's head beside the origin of the calibration and ``notes``.
+    Args:
+        rows: The rows as dictionaries, all with the same columns.
+        out: The file to write.
+        form: Name and version of the format, for the head of the document.
+        calibration: The calibration, whose origin the head states too.
+        notes: Sentences for the head and for `Document.notes`.
     """
     words = (*document.provenance(calibration), *notes)
     if out.suffix.lower() == ".json":

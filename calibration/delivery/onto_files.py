@@ -92,8 +92,8 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
 def _leading_tables(geometry: Geometry) -> list[int]:
     """Return, for each joint, the index (from 0) of the link whose table in the file represents the joint.
 
-    This link moves exactly as the joint does. If no link does, it is the first of the joint's links that have the
-    joint's kind (revolute or prismatic). That link moves by a ratio.
+    It is a link that moves exactly as the joint does. If there is none, it is the first link that the joint moves by a
+    ratio and that has the joint's kind (revolute or prismatic).
     """
     leaders = []
     for joint, leader in enumerate(leading_links(geometry)):
@@ -393,8 +393,8 @@ def kinematics_yaml_document(calibration: Calibration, order: document.Order) ->
     ``kinematics_params``. This needs a UR whose DH table has the maker's link frames.
 
     Raises:
-        InputError: If the robot's file is unusable or of another arm. For a new file, if the arm's DH table does not
-            have the link frames of a UR.
+        InputError: If the robot's file is unusable or of another arm. Also, for a new file, if the arm's DH table does
+            not have the link frames of a UR.
     """
     if order.onto is None:
         return _new_kinematics_yaml(calibration)

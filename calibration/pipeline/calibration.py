@@ -33,18 +33,18 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 # in its record, so that a command can be given with its uncertainty later. SI units.
 
 NEARBY, SPACING = 0.3, 1.5
-"""Largest distance between joint vectors, rad or m, at which two poses count as near each other. If measured poses are
-sparse, it is the second number times the 95th percentile of their distances from the nearest neighbour."""
+"""Largest distance between the `joint_features` of two poses that count as near each other. It is the first number. If
+measured poses are sparse, it is the second number times the 95th percentile of their distances to the nearest one."""
 
 VAGUE = 2.0
-"""Largest position uncertainty that the parameters may cause at a pose of the measured region, in multiples of the 95th
-percentile of this uncertainty at the fitted rows."""
+"""Limit on the position uncertainty that the parameters cause at a pose of the measured region. It is a multiple of the
+95th percentile of this uncertainty at the fitted rows."""
 
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `PoseUncertainty.region`."""
 
 UNCERTAINTY, WITHOUT_RESIDUAL = "uncertainty", "uncertainty_without_residual"
-"""Entries of a calibration's record with a `PoseUncertainty`: of the corrected arm, and without a learnt residual."""
+"""Entries of a calibration's record with a `PoseUncertainty`: with the learnt residual, if any, and without it."""
 
 QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
 """The parts of a pose that have an uncertainty. For each: the unit shown, and the factor from SI to this unit."""
@@ -69,8 +69,8 @@ class PoseUncertainty:
         factors: For each of `QUANTITIES` with enough held-out errors, the entries "factor" and "covered". 95 of 100
             errors are smaller than "factor" times their expected root mean square. "covered" is the share of held-out
             errors below their bound. The bound of an error is computed without the error's block of rows.
-        growth: Factors on the two repeats in the uncertainty of a pose, because few held-out errors determine the
-            repeats poorly.
+        growth: Factors on ``position_repeat`` and ``attitude_repeat`` in the uncertainty of a pose. They allow
+            for the small number of held-out errors that determine these standard deviations.
     """
 
     names: tuple[str, ...]
@@ -98,7 +98,7 @@ class PoseUncertainty:
 
     @property
     def scatter(self) -> Array:
-        """Part of each pose coordinate's variance ``(6,)`` that the parameters do not explain, m^2 and rad^2."""
+        """Variance of each pose coordinate ``(6,)`` that the parameters do not explain, m^2 and rad^2."""
         return np.repeat(np.multiply([self.position_repeat, self.attitude_repeat or 0.0], self.growth), 3) ** 2
 
     def standard(
@@ -213,13 +213,13 @@ class PoseUncertainty:
                 large.
             joints: Joints of each error's row ``(N, n)``, rad or m. If given, the bounds on 95 of 100 errors are
                 computed too.
-            blocks: For each error, an integer that is the same for all errors of one block of rows ``(N,)``, which are
+            blocks: One integer per error ``(N,)``, equal for all errors of one block of rows. Errors of one block are
                 correlated. If None, blocks are contiguous tenths of the poses.
             conditions: Payload and temperature of each error's row, if known.
             unit: "deg" if ``errors`` are misses of directions ``(N, k)``, rad. The uncertainty of positions then
                 comes from the parameters alone.
-            variance: Part of each row's pose variances that the parameters cause ``(N, 6)``, m^2 and rad^2. If None,
-                it is computed with the arm's own base and tool.
+            variance: Variances of each row's pose coordinates that the parameters cause ``(N, 6)``, m^2 and rad^2. If
+                None, they are computed with the arm's own base and tool.
         """
         positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
         names = set(found.arm_model.parameter_names)
@@ -245,8 +245,8 @@ class PoseUncertainty:
     def region(self, model: ArmModel, data: Observations) -> dict[str, Any]:
         """Return the entry of a calibration's record that describes the measured region (`Calibration.measured_there`).
 
-        It holds the joints of some rows and the joint distance that counts as near. It also holds the 95th percentile
-        of the position's uncertainty that the parameters cause at the rows, m.
+        The entry holds the joints of some rows, and the largest joint distance that counts as near. It also holds the
+        95th percentile, over the rows, of the position uncertainty, m, that the parameters cause.
 
         Args:
             model: The calibrated arm.
@@ -261,7 +261,7 @@ class PoseUncertainty:
 
 
 def variance_by_station(found: Identification, data: Observations) -> Array:
-    """Compute the variances ``(N, 6)`` of each row's pose that the identified parameters cause, m^2 and rad^2.
+    """Compute the variances of each row's pose coordinates ``(N, 6)`` that the parameters cause, m^2 and rad^2.
 
     A station is one placement of the instrument and its target. Each row's pose is taken with the base and tool of the
     row's station.
@@ -325,9 +325,9 @@ GEOMETRIES = ("arm", "nominal", "identified")
 
 
 def remainder(model: ArmModel, learnt: LearntResidual | None, conditions: Conditions, joints: Array) -> Array:
-    """Predict the difference of the true pose from the identified geometry's pose ``(..., 6)``, m and rad.
+    """Predict the true pose minus the pose of the identified geometry ``(..., 6)``, m and rad.
 
-    The difference is the sum of parametric terms and learnt residual.
+    This difference is the sum of parametric terms and learnt residual.
 
     Args:
         model: The identified arm with its terms.
@@ -513,7 +513,7 @@ class Calibration:
 
     @property
     def in_own_base(self) -> Geometry:
-        """The calibrated geometry in the robot's own frames: a fitted base and tool are replaced by those of `arm`."""
+        """The calibrated geometry in the robot's own frames: the base and tool of `arm` replace fitted ones."""
         if self.record.get("frames") == "fitted":
             return replace(self.identified, base=self.arm.base, tool=self.arm.tool)
         return self.identified

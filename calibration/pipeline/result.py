@@ -382,7 +382,7 @@ class Result:
     def parameters(self) -> list[dict[str, Any]]:
         """Return each fitted parameter: its name, its unit, its change and its standard deviation, in that unit.
 
-        The change is relative to the nominal geometry. For an instrument's own unknown it is the value itself.
+        The change is relative to the nominal geometry. For an unknown of the instrument, the value takes its place.
         ``prior_std`` is the standard deviation before measuring. ``narrowed`` is the share, 0 to 1, by which the rows
         have narrowed the prior. Both are None if the parameter had no prior.
         """
@@ -516,7 +516,7 @@ class Result:
 WORKSPACE_POSES, TRIALS = 400, 200_000
 """Number of joint vectors that represent a workspace, and number of draws to find those within a box."""
 LEAST_TARGETS = 8
-"""Least number of targets that represent a workspace: twice the equations that a fitted base and tool alone explain."""
+"""Least number of targets that represent a workspace. They give twice the equations that base and tool explain."""
 
 
 def workspace_joints(text: str | Path | None, geometry: Geometry, frames: str | None = None) -> tuple[str, Array]:

@@ -55,11 +55,11 @@ SAME_AS = {
     "abb_quaternion": "quaternion_wxyz",
     "ur_rotation_vector": "rotation_vector",
 }
-"""Attitude conventions of robot makers: for each name, the name of the equal convention in `GENERAL`."""
+"""For each attitude convention of a robot maker, the name of the equal convention in `GENERAL`."""
 
 CONVENTIONS = GENERAL | {maker: GENERAL[general] for maker, general in SAME_AS.items()}
-"""Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function that turns values
-(N, 3 or 4), angles in rad, into rotations."""
+"""Attitude conventions by name. Each has a kind of unit, "angle" or "none", and a function from values ``(N, 3 or 4)``
+to rotations. Angles are in rad."""
 
 
 def columns_of(convention: str) -> int:
@@ -349,9 +349,15 @@ def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[li
 
 
 def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, decimal: str) -> None:
-    """Refuse a file whose first row is a single cell that holds another separator, which later rows hold too.
+    """Refuse a file whose first row is a single cell with another separator in it, if later rows hold it too.
 
     The message says which separator it is, and how a column description names it.
+
+    Args:
+        rows: The cells of each row.
+        path: The file, for messages.
+        separator: The expected separator.
+        decimal: The expected decimal sign.
     """
     first = rows[0][0].strip() if len(rows[0]) == 1 else ""
     better = next((character for character in SEPARATORS if character != separator and character in first), None)
@@ -431,7 +437,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
         *("transform.rotation.x", "transform.rotation.y", "transform.rotation.z", "transform.rotation.w"),
     ),
 }
-"""Types of messages that are read, all with a stamp in their header, and the fields of each that become columns. The
+"""For each type of message that is read, the fields that become columns. All types have a stamp in their header. The
 columns of a JointState are named after its joints."""
 
 
