@@ -305,7 +305,11 @@ def _field(contender: Contender, env_id: str, arguments: Arguments, grid: FieldG
 def _command(policies: Sequence[Given], options: Arguments, labels: Sequence[str], arguments: Arguments) -> str:
     """Return the command line that reproduces a comparison; a policy object appears by the name of its type.
 
-    The arguments are those of `compare`: ``options`` has the named ones, and ``arguments`` those of the environment.
+    Args:
+        policies: The policies, as in `compare`.
+        options: The named arguments of `compare`.
+        labels: Display names of the policies.
+        arguments: Keyword arguments of the environment.
     """
 
     def word(value: Any) -> str:

@@ -300,7 +300,7 @@ class Kind:
     def steps(self) -> int:
         """Number of steps of each episode in which the policy is evaluated.
 
-        It is smaller for a policy that learns from pick to pick; the longest move takes 20 steps.
+        It is smaller for a policy that learns from pick to pick. The longest move takes 20 steps.
         """
         return 30 if self.sequential else 60
 
@@ -528,7 +528,7 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
 
 
 def check_labels(labels: Sequence[str]) -> None:
-    """Raise an error if two labels have the same letters and digits, by which viewers identify a policy.
+    """Raise an error if two labels have the same letters and digits. Viewers identify a policy by these.
 
     Raises:
         InputError: If a label has no letter or digit, or two labels differ in punctuation and capitals only.
@@ -542,7 +542,13 @@ def check_labels(labels: Sequence[str]) -> None:
 
 
 def _maker(policy: Given, camera_noise_mm: float, stage: str) -> PolicyMaker:
-    """Return the function that makes a contender's policy; ``stage`` is the name of its calibration, "raw" without."""
+    """Return the function that makes a contender's policy.
+
+    Args:
+        policy: The policy, as in `contenders_of`.
+        camera_noise_mm: Standard deviation of the camera noise that an adaptive policy assumes, mm per axis.
+        stage: Name of the contender's calibration; "raw" without one.
+    """
     if not isinstance(policy, str | Path):
         return lambda env, seed: policy
     return maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)

@@ -7,8 +7,8 @@ the gripper took gives one measurement.
 
 Policies with a memory are trained on `pickenv.wrappers.SameArm`. Before each pick they choose an offset from the fruit,
 at which the arm then aims. A recurrent policy (LSTM) observes the last pick and keeps a state. A policy with a window
-observes the last picks and weighs them by attention, depending on the joints of these picks and of the next one. Both
-are stored as a few matrices in one file with a checksum, and run by NumPy. Nothing in the file is executed.
+observes the last picks and weighs them by attention. The weights depend on the joints of these picks and of the next.
+Both kinds are stored as a few matrices in one file with a checksum, and run by NumPy. Nothing in the file is executed.
 """
 
 from __future__ import annotations
@@ -315,7 +315,7 @@ class RememberingPolicy(Actor):
             state: State from `begin`, or the state returned at the last pick.
 
         Raises:
-            InputError: If the observations have another length than those of the training.
+            InputError: If the observations have another length than the observations of the training.
         """
         if seen.shape[-1] != self.memory.inputs:
             lengths = f"{self.memory.inputs} numbers, but was given {seen.shape[-1]}"

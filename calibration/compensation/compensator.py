@@ -432,7 +432,7 @@ Expected = tuple[Sequence[Scalar], Scalar]
 
 
 def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> Expected:
-    """Return joints with the norm of the pose error expected there, from the error's six components."""
+    """Return ``joints`` with the norm of the pose error that is expected there; ``error`` has its six components."""
     x, y, z, u, v, w = error
     return joints, m.sqrt(x * x + y * y + z * z + u * u + v * v + w * w)
 

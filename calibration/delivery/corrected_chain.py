@@ -311,8 +311,8 @@ def corrected_origins(
 
     Args:
         nominal: The arm's geometry before its calibration.
-        identified: The calibrated geometry in the robot's own base. If base and tool were fitted, they are those of
-            ``nominal``.
+        identified: The calibrated geometry in the robot's own base. If base and tool were fitted, it has the base
+            and tool of ``nominal``.
         branches: The file's joints from root to tip, as the only item. For a whole robot, one item for each named part
             of its tree.
         same: The relation of ``nominal`` to the file.
@@ -597,7 +597,7 @@ def refuse_lost_files(path: Path, out: Path, names: Iterable[str]) -> None:
     Args:
         path: The robot's own file.
         out: The new file.
-        names: Paths or URLs that the robot's file names, such as those of meshes.
+        names: Paths or URLs that the robot's file names, such as paths of meshes.
 
     Raises:
         InputError: If such a file would not be found; the message names it and what to do.

@@ -32,7 +32,7 @@ def onnx_document(calibration: Calibration, _: Order) -> Document:
     """Make an ONNX document of the learnt network: input ``joints`` (N, n), rad and m, output ``residual`` (N, 6 or 3).
 
     If the network was learnt with conditions, they are a second input ``conditions`` (N, c). The network is in double
-    precision, so that its output equals that of `LearntResidual.predict`.
+    precision, so that its output equals the output of `LearntResidual.predict`.
 
     Raises:
         InputError: If there is no learnt residual, its kind has no ONNX form, or the package ``onnx`` is missing.
@@ -111,11 +111,11 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
 
 
 BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".xml": "mjcf", ".onnx": "onnx"}
-"""Kind of a new file by the ending of its name."""
+"""For each ending of a new file's name, the kind of the file."""
 
 YAML = "kinematics-yaml"
 BY_OWN_ENDING = {".urdf": "urdf", ".xml": "mjcf", ".json": "lerobot", ".yaml": YAML, ".yml": YAML}
-"""Kind of the file to write by the ending of the robot's own file."""
+"""For each ending of the name of the robot's own file, the kind of the file to write."""
 
 
 def export(

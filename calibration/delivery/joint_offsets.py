@@ -145,7 +145,7 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
 def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: NDArray[np.int64]) -> Array:
     """Compute standard deviations of the offsets (n,), rad or m, from the parameters' covariance; NaN if unknown.
 
-    The other arguments are those of `_way`.
+    `_way` explains the arguments ``joints``, ``rows`` and ``columns``.
     """
     sure = uncertainty_from(calibration.without_residual().record)
     if sure is None:
@@ -160,7 +160,7 @@ def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: ND
 
 
 def _filling(calibration: Calibration) -> tuple[Array, str]:
-    """Return joint values that fill the measured joint ranges, or else the joint limits, and a text that says which.
+    """Return joint values that fill the measured joint ranges, or else the joint limits, and words for this region.
 
     The values are a Halton sequence, so they are always the same for one calibration.
     """

@@ -440,8 +440,8 @@ class Calibration:
     def uncertainty(self, joints: ArrayLike, conditions: Conditions | None = None) -> tuple[Sizes, Sizes]:
         """Compute the standard uncertainties of predicted poses, and the bounds that 95 of 100 errors do not exceed.
 
-        A learnt residual predicts nothing at poses outside the measured region. There, uncertainties and bounds are
-        those of the arm without the residual.
+        A learnt residual predicts nothing at poses outside the measured region. There, uncertainties and bounds of
+        the arm without the residual are returned.
 
         Args:
             joints: Joints ``(..., n)``, rad or m.
@@ -651,7 +651,13 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
 
 
 def _learnt(kind: str | None, arrays: Mapping[str, NDArray[Any]], geometry: Geometry) -> LearntResidual | None:
-    """Make the learnt residual of a file and evaluate it once; ``kind`` is its name in the header, None without one."""
+    """Make the learnt residual of a file, and evaluate it once.
+
+    Args:
+        kind: Name of the residual model in the file's header; None if the file has no learnt residual.
+        arrays: The file's arrays by name.
+        geometry: The identified geometry.
+    """
     if kind is None:
         if arrays:
             raise InputError("it holds a learnt residual that its header does not name")

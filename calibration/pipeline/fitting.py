@@ -256,8 +256,8 @@ class HeldOut:
         used: Name of the model that judged the rows; if rows were held out block by block, one name per block.
         blocks: Index, from 0, of each error's block of rows ``(M,)``; None if rows were held out once.
         pixels: For pictures, the errors of the fit of geometry alone, px, one array ``(R, 2)`` per view; else empty.
-        row: Index, from 0, of each error's row ``(M,)``, if rows were held out once and have several errors each, such
-            as one error per reflector or per corner of a board; else None.
+        row: Index, from 0, of each error's row ``(M,)``. A row can have several errors, such as one error per reflector
+            or per corner of a board. None if rows have one error each, or were held out block by block.
     """
 
     errors: dict[str, Array]

@@ -42,7 +42,7 @@ from pickenv.calibration.reading.read import joints_of, read_targets
 from pickenv.calibration.residuals.residual_models import GateVerdict, position_rms, selected, verdicts_record
 
 CAUTIONS, CAUTION = 3, 100
-"""Largest number of cautions in a summary, and characters per line; each caution takes two lines at most."""
+"""Largest number of cautions in a summary, and of characters in a line; each caution takes two lines at most."""
 
 SIGMAS = 2.0
 """Change of a parameter, in its standard deviations, above which the parameter counts as moved."""
@@ -514,7 +514,7 @@ class Result:
 
 
 WORKSPACE_POSES, TRIALS = 400, 200_000
-"""Number of joint vectors that represent a workspace, and number of draws to find those within a box."""
+"""Number of joint vectors that represent a workspace, and number of draws to find such vectors within a box."""
 LEAST_TARGETS = 8
 """Least number of targets that represent a workspace. They give twice the equations that base and tool explain."""
 

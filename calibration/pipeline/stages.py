@@ -615,7 +615,7 @@ def _learn(draft: Draft) -> Draft:
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     """Return the draft with a fit that adds the residual model ``kind``, learnt from ``data``.
 
-    ``settings`` are the settings of the paper's network; None for all other fits (see `fitting.fit_remainder`).
+    ``settings`` are the settings of the paper's network. None for any other model (see `fitting.fit_remainder`).
     """
     name, best = draft.best
     report = None if draft.progress is None else partial(draft.progress, "training network")

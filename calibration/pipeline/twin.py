@@ -50,8 +50,8 @@ ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrumen
 def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
     """Estimate the instrument's share of the scatter of measured rows.
 
-    It is the instrument's stated or assumed uncertainty, or the scatter of repeated measurements at the same command
-    if that is smaller. Repeats contain the arm's repeatability too, so their scatter is an upper bound.
+    It is the instrument's stated or assumed uncertainty. If repeated measurements at one command scatter less, it is
+    their scatter. Repeats contain the arm's repeatability too, so their scatter is an upper bound.
 
     Args:
         data: The rows.
@@ -264,6 +264,11 @@ def _process(
     """Return the Gaussian process of the errors that geometry and terms leave, its inputs, and a note on its origin.
 
     Without rows and without a learnt residual, the process is None, and all these errors count as scatter.
+
+    Args:
+        calibration: The calibration.
+        rows: Poses or positions that the calibration was fitted to, or None.
+        rng: Random generator of a process that is fitted to the rows.
 
     Raises:
         InputError: If there are no rows, and the learnt residual is no Gaussian process.

@@ -93,8 +93,8 @@ def restationed(
 
     The learnt residual is a function of the joints. It stays with the arm, and its axes turn with the base. The
     residual is subtracted from the rows before the frames are fitted. Otherwise the frames would absorb its mean over
-    these few rows. The residual is that of the old tool's point; the motion of a new tool's point by a learnt rotation
-    is neglected.
+    these few rows. The residual holds for the old tool's point. A learnt rotation also moves a new tool's point; this
+    motion is neglected.
 
     Args:
         calibration: The calibration.
@@ -282,8 +282,8 @@ class Verification:
         status: The verdict.
         reason: The reason for the verdict, as a sentence.
         calibrated: Position errors of the calibrated arm, mm.
-        nominal: Position errors of the nominal arm, mm. Frames that were refitted for the calibrated arm are refitted
-            for it too, to the same rows.
+        nominal: Position errors of the nominal arm, mm. If frames were refitted for the calibrated arm, they were also
+            refitted for the nominal arm, to the same rows.
         expected: RMS position error that the calibration promises, mm.
         rows: Number of rows judged.
         refitted: Number of rows to which base and tool were refitted; 0 if they were not.

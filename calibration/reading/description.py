@@ -150,7 +150,7 @@ class BarTable(ContactTable):
 
 @toml_table
 class RadiusTable(ContactTable):
-    """Section [sphere]: distance of the tool point from a fixed centre, and its uncertainty, m; fitted if left out."""
+    """Section [sphere]: the tool point's distance from a fixed centre, m (fitted if left out), and its uncertainty, m."""
 
     length: Annotated[float, MM.positive, Key("radius_mm")] | None = None
     length_std: Annotated[float, MM.not_negative, Key("radius_std_mm")] = 0.0
@@ -330,8 +330,8 @@ class RotationTable:
         Messages name ``section``, the section that has these columns, and ``key``, the section's key for the unit.
 
         Raises:
-            InputError: If there are not 3 or 4 columns, or not those of the convention, if the unit of angles is
-                missing, or if a quaternion has one.
+            InputError: If the number of columns is not 3 or 4, or does not fit the convention. Also if the unit of
+                angles is missing, or if a quaternion has a unit.
         """
         count = len(self.columns)
         if self.convention is None and count not in (3, 4):

@@ -101,8 +101,8 @@ def refuse_repeated_joints(layout: description.DescriptionFile, where: str, join
 def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
     """Refuse positions that no instrument can have measured.
 
-    These are positions beyond `FARTHEST`, and positions at exactly 0, 0, 0 unless every row is there. Trackers write
-    zeros for a lost reflector.
+    These are positions beyond `FARTHEST`, and positions at exactly 0, 0, 0 unless all rows are at 0, 0, 0. Trackers
+    write zeros for a lost reflector.
 
     Args:
         table: The file.
@@ -291,9 +291,13 @@ def _dial(files: Files, section: description.DialTable) -> kinds.DistanceObserva
 
 
 def _distances(files: Files, section: description.ContactTable, read: Array, **more: Any) -> kinds.DistanceObservations:
-    """Return the readings ``read`` ``(N,)``, m, as distances with the fields that all contact measurements share.
+    """Return readings as distances, with the fields that all contact measurements share.
 
-    ``more`` are further fields of `DistanceObservations`.
+    Args:
+        files: The files.
+        section: The section of the description.
+        read: The readings ``(N,)``, m.
+        **more: Further fields of `DistanceObservations`.
     """
     return kinds.DistanceObservations(length=read, **_contact(files, section), **more)
 
@@ -351,7 +355,11 @@ def _sockets(files: Files, section: description.SocketsTable) -> kinds.SocketObs
 def _rests(files: Files, section: description.ContactTable, socket: Rows, **more: Any) -> kinds.SocketObservations:
     """Return contacts with sockets; refuse a socket whose rows are all in one pose.
 
-    ``socket`` ``(N,)`` is each row's socket, numbered from 0; ``more`` are further fields of `SocketObservations`.
+    Args:
+        files: The files.
+        section: The section of the description.
+        socket: Number of each row's socket ``(N,)``, from 0.
+        **more: Further fields of `SocketObservations`.
     """
     contact = _contact(files, section)
     for place in np.unique(socket):

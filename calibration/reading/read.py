@@ -125,8 +125,8 @@ def _by_scene(
         For each part, a column description whose [scene] names the part's sensor and target, and the part's files.
 
     Raises:
-        InputError: If a row has an empty name, if no row names the sensor, target or series of the description, or if a
-            link is of no sensor or target.
+        InputError: If a row has an empty name, or no row names the sensor, target or series of the description. Also if
+            [scene.links] names an unknown sensor or target.
     """
     if given is None or given.scene == description.SceneTable():
         return [(given, logs)]
@@ -274,8 +274,7 @@ def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry
         where: Name of the description or file, for messages.
 
     Raises:
-        InputError: If a link is not one of the robot's, if both links are the same, or if links of a single chain are
-            named.
+        InputError: If the robot has no such link, if both links move together, or if links of a single chain are named.
     """
     tree, ends = geometry.tree, []
     for name in links:

@@ -1,9 +1,9 @@
 """Turn recordings into measured rows: a recording is a joint log and an instrument's log, each with its own clock.
 
 The clocks are compared twice. First the speeds of the nominal tool and of the readings are correlated over all lags
-(Furrer et al. 2017). Then offset and rate of the clocks are unknowns of the same least squares as the arm's
-parameters, and the joint velocities enter their derivatives. The arm's errors therefore do not bias the clocks. SI
-units; times in seconds.
+(Furrer et al. 2017). Then one least-squares fit identifies the arm's parameters together with offset and rate
+of the clocks. The derivatives by the clocks come from the joint velocities. The arm's errors therefore do not bias the
+clocks. SI units; times in seconds.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ CHORD = 0.1
 """Time over which speeds are computed, s: shorter than a motion, and long enough to suppress noise."""
 
 LEAST_OVERLAP, LEAST_CORRELATION = 0.3, 0.4
-"""A clock offset is tried if the logs overlap by at least the first number, as a share of the shorter log, and if the
-correlation of the speeds is at least the second number."""
+"""Conditions for trying a clock offset: least overlap of the logs, as a share of the shorter log, and least correlation
+of the speeds."""
 
 PEAKS, CLEAR = 5, 0.7
 """Largest number of clock offsets that are tried by fits, and a limit on the ratio of two median misfits: of the best
@@ -365,9 +365,9 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
 
 
 def _complete(log: Table, names: tuple[str, ...]) -> Table:
-    """Return only those messages of a joint log that have all columns used by the expressions ``names``.
+    """Return the messages of a joint log that have all columns of the expressions ``names``.
 
-    A topic may also carry other messages, such as those of a gripper alone.
+    A topic may also carry other messages, such as messages of a gripper alone.
     """
     lacking = np.zeros(len(log.lines), dtype=bool)
     for name in _columns_in(names, log.header):
@@ -595,9 +595,9 @@ def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
 
 
 def _thinned(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
-    """Return single samples, spaced by a path length in joint space (`PATH`), each as an array of its index from 0.
+    """Return the indices, from 0, of single samples that are spaced by a path length in joint space (`PATH`).
 
-    `_rests` explains the arguments.
+    Each index is an array of its own. `_rests` explains the arguments.
     """
     joints = logs.joint_spline(times[usable])
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(joints, axis=0), axis=1))]

@@ -148,7 +148,7 @@ class Table:
 
         Args:
             rows: The indices.
-            where: Name of the new table for messages; the same as before if empty.
+            where: Name of the new table for messages; empty for the name of this table.
         """
         cells, lines = [self.rows[row] for row in rows], [self.lines[row] for row in rows]
         return Table(where or self.where, self.header, cells, lines, self.decimal)
@@ -193,9 +193,12 @@ class Table:
         return np.array(blank)
 
     def _number(self, text: str, name: str, row: int) -> float:
-        """Return the finite number that a cell's ``text`` spells, with this file's decimal sign.
+        """Return the finite number that the text of a cell spells, with this file's decimal sign.
 
-        Column ``name`` and the index ``row``, from 0, are for messages.
+        Args:
+            text: Text of the cell.
+            name: The cell's column, for messages.
+            row: Index of the cell's row, from 0, for messages.
         """
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
         value = decimal_number("" if grouped else text.replace(self.decimal, "."))
