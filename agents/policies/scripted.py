@@ -442,7 +442,7 @@ class ScriptedPick(policy.ReachController):
         return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
-        """Plan three waypoints: below the fruit tried last (`OUT`), below the next fruit (`BELOW`), and at it (`AT`).
+        """Plan three waypoints: below the last fruit (`OUT`), below the next fruit (`BELOW`), and at the next fruit (`AT`).
 
         Args:
             rows: Indices of the r environments, from 0.

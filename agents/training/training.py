@@ -235,7 +235,7 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
     """Train a policy, or resume its training, and write the run's folder.
 
     Args:
-        training: Settings of the training; when resuming, they must be those of the checkpoint.
+        training: Settings of the training; when resuming, they must equal the settings in the checkpoint.
         out: Folder of the run.
         resume: Whether to continue from the folder's checkpoint.
         progress: Whether to draw a progress bar.

@@ -162,7 +162,7 @@ def _factorised(gram: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scal
 
 
 def _forward(lower: list[list[Scalar]], right: Sequence[Scalar]) -> list[Scalar]:
-    """Solve L x = right, where ``lower`` is L below its diagonal and the diagonal is 1."""
+    """Solve L x = right; ``lower`` holds L below its diagonal, and the diagonal is 1."""
     solution: list[Scalar] = []
     for row, value in zip(lower, right, strict=True):
         for factor, known in zip(row, solution, strict=True):

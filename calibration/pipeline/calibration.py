@@ -44,7 +44,8 @@ MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `PoseUncertainty.region`."""
 
 UNCERTAINTY, WITHOUT_RESIDUAL = "uncertainty", "uncertainty_without_residual"
-"""Entries of a calibration's record with a `PoseUncertainty`: with the learnt residual, if any, and without it."""
+"""Names of two entries of a calibration's record. The first holds the `PoseUncertainty` of the arm with its learnt
+residual, if any. The second holds the `PoseUncertainty` of the arm without the learnt residual."""
 
 QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
 """The parts of a pose that have an uncertainty. For each: the unit shown, and the factor from SI to this unit."""
@@ -284,10 +285,10 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
 
 
 def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
-    """Compute features of joints ``(N, n)``: all revolute joints' sines, then their cosines, then prismatic joints, m.
+    """Compute features of joints: the sines of all revolute joints, then their cosines, then the prismatic joints, m.
 
     Args:
-        joints: Joints, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         slides: For each joint, whether it is prismatic.
     """
     straight = np.array(slides)

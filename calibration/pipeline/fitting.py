@@ -359,8 +359,8 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
 
     Each block of rows was judged by a model that was chosen without it. These models can differ in their terms and
     residual model, from block to block and from the model of the calibration. Under the last of the ``names``, the
-    result holds each block's errors by the model that was chosen without the block. Under the names between "geometric"
-    and the last, it holds the errors by the same model without its learnt residual.
+    result holds each block's errors by the model that was chosen without the block. Under each name between
+    "geometric" and the last, it holds the errors of these models without their learnt residuals.
 
     Args:
         names: Names of the models of the calibration of all rows: the geometry alone, then each with one part more.

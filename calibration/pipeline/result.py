@@ -219,9 +219,9 @@ class Result:
 
     @property
     def _within95(self) -> Sizes:
-        """Bounds on 95 of 100 errors of position, m, and attitude, rad, at the held-out rows, both ``(M,)``.
+        """Two arrays ``(M,)`` at the held-out rows: bounds on the position error, m, and on the attitude error, rad.
 
-        A bound that is not known is None. For a whole robot each station's base and tool are used.
+        95 of 100 errors are below their bound. An array is None if it is unknown. For a whole robot each station's base and tool are used.
         """
         sure, test = self.uncertainty, self.test
         if self.arm.nominal.tree is None:

@@ -102,7 +102,7 @@ def refuse_options(train: Observations, choices: Choices) -> None:
 
 
 def _refuse_idle(choices: Choices, arm: Arm) -> None:
-    """Refuse options that have no effect, because of another option or of tool poses in place of joint values.
+    """Refuse options that have no effect, because another option or the use of tool poses rules them out.
 
     Raises:
         InputError: If such an option is set; the message names it.
@@ -253,7 +253,7 @@ def _joined(
 
 
 def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
-    """Return the station of ``like`` with the sensor, target and kind of ``data``; its rows are replaced by ``data``.
+    """Return the station of ``like`` that has the sensor, target and kind of ``data``, with ``data`` as its rows.
 
     Raises:
         InputError: If there is no such station.
@@ -306,7 +306,8 @@ GEOMETRY = "geometry"
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS, FEW_ROWS = 60, 20
-"""Largest numbers of pictures, and of poses, that are held out one by one, each judged by a fit to all others."""
+"""Largest number of pictures, and largest number of poses, that are held out one by one. A fit to all others judges
+each."""
 
 
 @dataclass(frozen=True, eq=False)

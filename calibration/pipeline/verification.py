@@ -100,8 +100,8 @@ def restationed(
         calibration: The calibration.
         data: Poses or positions measured at the other station.
         own: Which of "base" and "tool" are refitted.
-        count: Number of rows to fit to. They are chosen by their joints alone, so that other positions are predicted
-            best (I-optimal design).
+        count: Number of rows to fit to. The rows are chosen by their joints alone, so that positions at other rows are
+            predicted best (I-optimal design).
         used: Indices, from 0, of the rows to fit to, if they were chosen before.
 
     Returns:
@@ -161,7 +161,7 @@ def expected_square(data: Measurements) -> float:
 
 
 def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measurements:
-    """Return the data with standard uncertainties of at least the scatter in the calibration's record.
+    """Return the data with their standard uncertainties raised to the scatter in the calibration's record, if smaller.
 
     This is the scatter of a single motion to a pose (``position_repeat`` and ``attitude_repeat`` of `PoseUncertainty`).
     """
@@ -293,7 +293,7 @@ class Verification:
         left_out: Outlier rows that were left out.
         no_gain: The reason why the rows do not show that the calibrated arm is better than the nominal arm; None if
             they show it.
-        measured: Share of the rows that lie in the region that the calibration measured; None if that is not known.
+        measured: Share of the rows that lie in the region measured for the calibration; None if it is not known.
         reservation: The sentence about the calibration's own verdict "do not use"; None if it has another verdict.
     """
 

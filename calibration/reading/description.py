@@ -150,7 +150,7 @@ class BarTable(ContactTable):
 
 @toml_table
 class RadiusTable(ContactTable):
-    """Section [sphere]: the tool point's distance from a fixed centre, m (fitted if left out), and its uncertainty, m."""
+    """Section [sphere]: the tool point's distance from a fixed centre (fitted if left out), and its uncertainty, m."""
 
     length: Annotated[float, MM.positive, Key("radius_mm")] | None = None
     length_std: Annotated[float, MM.not_negative, Key("radius_std_mm")] = 0.0
