@@ -118,7 +118,7 @@ class ScriptedScene(ScriptedReach):
         self._gaps: list[Array] = []
 
     def act(self, observation: Any) -> NDArray[np.float32]:
-        """Return the next action ``(n + 1,)``: increments of the joints, and the gripper, which is open below 0."""
+        """Return the next action ``(n + 1,)``: joint increments, then a number for the gripper, below 0 to open it."""
         reading, scale = self.present(np.asarray(_state_of(observation))[:-2]), self.env.scene.around.scale
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
@@ -442,7 +442,7 @@ class ScriptedPick(policy.ReachController):
         return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
-        """Plan three waypoints: below the last fruit (`OUT`), below the next fruit (`BELOW`), and at the next fruit (`AT`).
+        """Plan three waypoints: below the last fruit (`OUT`), below the next fruit (`BELOW`), at the next fruit (`AT`).
 
         Args:
             rows: Indices of the r environments, from 0.

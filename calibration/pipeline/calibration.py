@@ -124,7 +124,8 @@ class PoseUncertainty:
             variance: Variances of the six pose coordinates ``(..., 6)``, m^2 and rad^2.
 
         Returns:
-            Uncertainties of position ``(...)``, m, and of attitude ``(...)``, rad, None without attitudes.
+            Two arrays ``(...)``: the uncertainty of position, m, and the uncertainty of attitude, rad. The second is
+            None if no attitudes were measured.
         """
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude

@@ -154,7 +154,7 @@ class Table:
         return Table(where or self.where, self.header, cells, lines, self.decimal)
 
     def texts(self, name: str) -> list[str]:
-        """Return the cells of a column as text without surrounding spaces; empty where a row is too short."""
+        """Return the cells of a column as text without surrounding spaces; a cell is empty if its row is too short."""
         index = self.index(name)
         return [row[index].strip() if index < len(row) else "" for row in self.rows]
 
