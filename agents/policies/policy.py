@@ -167,9 +167,9 @@ class ReachController:
 
     @property
     def settled(self) -> Any:
-        """Whether the latest reading of each observation was taken after its arm had stopped ``(...)``.
+        """Mask ``(...)`` of the observations whose latest reading was taken after the arm had stopped.
 
-        It is True without delays.
+        If nothing is delayed, it is the value True.
         """
         return self._still > self.lag if self.lag else True
 

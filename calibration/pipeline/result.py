@@ -221,8 +221,8 @@ class Result:
     def _within95(self) -> Sizes:
         """Two arrays ``(M,)`` at the held-out rows: bounds on the position error, m, and on the attitude error, rad.
 
-        95 of 100 errors are below their bound. An array is None if it is unknown. For a whole robot, each station's base
-        and tool are used.
+        95 of 100 errors are below their bound. An array is None if it is unknown. For a whole robot, the
+        base and tool of each station are used.
         """
         sure, test = self.uncertainty, self.test
         if self.arm.nominal.tree is None:

@@ -375,7 +375,7 @@ class PosesTable:
 class TemperatureTable:
     """Section [conditions.temperature]: the column, its unit, and the reference that is subtracted, in that unit.
 
-    Without a reference, 20 degC or 0 K is subtracted.
+    Without a reference, 20 degC is subtracted if the unit is degC, and nothing if it is K.
     """
 
     column: Annotated[str, COLUMN]

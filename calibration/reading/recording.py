@@ -1,9 +1,9 @@
 """Turn recordings into measured rows: a recording is a joint log and an instrument's log, each with its own clock.
 
 The clocks are compared twice. First the speeds of the nominal tool and of the readings are correlated over all lags
-(Furrer et al. 2017). Then one least-squares fit identifies the arm's parameters together with offset and rate
-of the clocks. The derivatives by the clocks come from the joint velocities. The arm's errors therefore do not bias the
-clocks. SI units; times in seconds.
+(Furrer et al. 2017). Then one least-squares fit identifies the arm's parameters together with offset and rate of the
+clocks. The derivatives with respect to offset and rate come from the joint velocities. The arm's errors therefore do
+not bias the clocks. SI units; times in seconds.
 """
 
 from __future__ import annotations
