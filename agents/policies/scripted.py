@@ -1,4 +1,4 @@
-"""Policies without learning: scripted ones for the nominal arm, an oracle, visual servoing, and random actions."""
+"""Policies without learning: scripted policies for the nominal arm, an oracle, visual servoing, and random actions."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ class ScriptedScene(ScriptedReach):
 
 
 class SeeingScene(ScriptedScene):
-    """`ScriptedScene` that locates the fruit in the wrist camera's images while it stands, and corrects its target.
+    """`ScriptedScene` that locates the fruit in the wrist camera's images while the arm stands, and corrects the aim.
 
     It needs observations "pixels_environment_state_agent_pos". Li's detector (extra `harvest`) segments the fruit, and
     the policy takes the largest region. The policy relies on the pose of the camera on the tool that the environment

@@ -229,7 +229,7 @@ def _height(axes: list[_Axis]) -> float:
 def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
     """Fit the root to all axes by least squares, first to their directions, then to their positions.
 
-    All joints are at zero in both. ``mine`` are the axes of the arm's DH table, ``theirs`` the axes of the file.
+    All joints are at zero. ``mine`` are the axes of the arm's DH table, ``theirs`` the axes of the file.
     """
     with warnings.catch_warnings():  # parallel axes leave it open; another root is tried then
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
@@ -592,7 +592,7 @@ def moved_words(moves: Sequence[tuple[ChainJoint, Pose]], plain: Sequence[tuple[
 def refuse_lost_files(path: Path, out: Path, names: Iterable[str]) -> None:
     """Refuse a robot's file if files that it names by relative paths are missing.
 
-    They must exist relative to the robot's file, and relative to the new file.
+    These files must exist relative to the robot's file, and also relative to the new file.
 
     Args:
         path: The robot's own file.

@@ -388,8 +388,8 @@ def verify(
         calibration: The calibration.
         data: New poses or positions of the same robot.
         refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved. For a
-            whole robot (a tree of links) both always are, because its calibration does not hold the places of sensors
-            and targets.
+            whole robot (a tree of links) both are always refitted, because its calibration does not hold the
+            places of sensors and targets.
         refit_rows: Number of rows to which these frames are refitted. The calibration is judged on the other rows.
 
     Raises:

@@ -79,7 +79,7 @@ def read_observations(
 def read_scene(
     paths: Sequence[str | Path], geometry: Geometry | Arm, columns: str | Path | None = None, *, repeats: bool = False
 ) -> list[Observations]:
-    """Read measurements as `read_observations` does, as one data set for each sensor and target of their rows.
+    """Read measurements as `read_observations` does, as one data set for each pair of sensor and target.
 
     Args:
         paths: The files.

@@ -109,7 +109,7 @@ SEPARATORS = {";": "';'", "\t": "a tab", "|": "'|'", ",": "','", " ": "a space"}
 """Column separators and their names in messages, in the order in which a file is searched for them."""
 
 LONGEST_EXPRESSION = 1000
-"""Length of an expression, in characters, up to which it is parsed; a parser's depth is limited."""
+"""Largest length of an expression that is parsed, in characters, because the depth of a parser is limited."""
 
 
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
