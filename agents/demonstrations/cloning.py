@@ -209,7 +209,7 @@ class ClonedScene(ReachController):
         """Return the next action ``(n + 1,)``.
 
         Raises:
-            InputError: If the observation has no image, or one of another size than those of the training.
+            InputError: If the observation has no image, or its image has another size than the images of the training.
         """
         shown, numbers = _looked(observation)
         if len(shown) != self.network.pixels:

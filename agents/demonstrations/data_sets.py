@@ -57,8 +57,8 @@ SIGHT: Mapping[str, Any] = {
     "within_mm": 60.0,
     "feedback": "camera",
 }
-"""Arguments of the environment of task "sight". They add images, and add the gap that a camera measures to the
-state."""
+"""Arguments of the environment of task "sight". They add two things to the observations: images, and
+in the state the gap that a camera measures."""
 
 ARMS: Mapping[tuple[str, str], dict[str, Any]] = {
     ("scene", "expert"): {"plant": "ideal:so101"},
@@ -155,7 +155,10 @@ def _kept_or_made(
 def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     """Run one reach per seed, all in one vector environment, then yield the columns (arrays by name) of each episode.
 
-    The ``quality`` says which share of the actions is random: none (expert), half (medium) or all (random).
+    Args:
+        quality: Name for the share of the actions that is random: none ("expert"), half ("medium") or all ("random").
+        seeds: Seeds of the episodes.
+        rng: Random generator of the random actions.
     """
     envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled", executor="numpy")
     policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
@@ -178,8 +181,11 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
 def _episodes(task: str, quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     """Record one canopy or scene per seed, and yield the columns (arrays by name) of each episode.
 
-    The ``task`` is "pick", "scene" or "sight". The ``quality`` "random" acts at random with ``rng``; "expert" and
-    "medium" run the policies that `POLICIES` describes.
+    Args:
+        task: "pick", "scene" or "sight".
+        quality: "random" for random actions; "expert" or "medium" for the policies that `POLICIES` describes.
+        seeds: Seeds of the episodes.
+        rng: Random generator of the random actions.
     """
     env = gym.make(TASKS[task], **ARMS.get((task, quality), {}))
     if quality == "random":
@@ -244,8 +250,11 @@ def _numbers(column: Any) -> bytes:
 def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: dict[str, Any]) -> dict[str, Any]:
     """Write a data set and its card, and move them into ``folder`` once both are complete; return the final card.
 
-    ``name`` is Minari's name of the data set. ``episodes`` has the columns of each episode, and ``card`` the card's
-    entries so far.
+    Args:
+        folder: Folder of the data set.
+        name: Minari's name of the data set.
+        episodes: Columns of each episode.
+        card: Entries of the card so far.
     """
     from unittest.mock import patch  # late: it brings asyncio
 

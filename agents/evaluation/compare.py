@@ -160,11 +160,16 @@ def compare(
 
 
 def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, float, set[str], str]:
-    """Return an environment's plant (true arm) or None, its control period, s, its features, and a sentence.
+    """Return the properties of an environment that a comparison needs.
 
-    The features contain "gripper" if the environment judges grasps by its own gripper, and "field" if errors can be
-    mapped over a grid of goals. The sentence says which positions `info` lacks, and is empty if it lacks none
-    (`missing_positions`).
+    Returns:
+        Four values. The first is the plant (true arm), or None. The second is the control period, s. The third holds
+        "gripper" if the environment judges grasps by its own gripper, and "field" if errors can be mapped over a grid
+        of goals. The fourth is a sentence that says which positions `info` lacks (`missing_positions`). It is empty if
+        `info` has all.
+
+    Raises:
+        InputError: If the environment cannot be made, has many arms, or has a control period that varies.
     """
     env = _made(env_id, arguments)
     inner: Any = env.unwrapped
@@ -193,9 +198,16 @@ def _recorded_policy(
 ) -> RecordedPolicy:
     """Return one policy's E episodes as arrays, each padded to ``longest`` moments.
 
-    Padding repeats the last moment, with reward 0. A reach picks its fruit if the uniform random number in
-    ``chance (E,)`` is below the probability that the gripper ``judge`` captures it. ``label`` is the policy's display
-    name, and ``plant`` the true arm, or None.
+    Padding repeats the last moment, with reward 0.
+
+    Args:
+        label: Display name of the policy.
+        episodes: The moments of each episode.
+        longest: Number of moments to which episodes are padded.
+        plant: The true arm, or None.
+        judge: The gripper.
+        chance: One uniform random number per episode ``(E,)``. If the final pose error is known, a reach picks its
+            fruit if this number is below the probability that the gripper captures the fruit.
     """
     info = episodes[0][0].info
     padded = [[*episode, *[episode[-1]._replace(reward=0.0)] * (longest - len(episode))] for episode in episodes]
@@ -264,7 +276,13 @@ def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
 def _field(contender: Contender, env_id: str, arguments: Arguments, grid: FieldGrid, seed: int, number: int) -> Array:
     """Return a policy's final pose errors ``(F, 6)``, m and rad, at the F goals of a grid.
 
-    The policy's own random draws depend on ``seed`` and on ``number``, the policy's index (from 0) in the comparison.
+    Args:
+        contender: The policy and its compensator.
+        env_id: Id of the environment.
+        arguments: Keyword arguments of the environment.
+        grid: The grid of goals.
+        seed: Seed of the environment and of the policy's own random draws.
+        number: Index of the policy in the comparison, from 0, on which its random draws depend too.
     """
     steps = gym.spec(env_id).max_episode_steps or 60
     envs: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(
@@ -287,7 +305,11 @@ def _field(contender: Contender, env_id: str, arguments: Arguments, grid: FieldG
 def _command(policies: Sequence[Given], options: Arguments, labels: Sequence[str], arguments: Arguments) -> str:
     """Return the command line that reproduces a comparison; a policy object appears by the name of its type.
 
-    The arguments are those of `compare`: ``options`` has the named ones, and ``arguments`` those of the environment.
+    Args:
+        policies: The policies, as in `compare`.
+        options: The named arguments of `compare`.
+        labels: Display names of the policies.
+        arguments: Keyword arguments of the environment.
     """
 
     def word(value: Any) -> str:

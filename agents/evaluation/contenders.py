@@ -90,8 +90,8 @@ class Moment(NamedTuple):
     Attributes:
         reward: Reward of the step; 0 after the reset.
         info: The environment's info.
-        target: Joint values ``(n,)``, rad or m, to which the controller has sent the arm, and at which it believes the
-            arm to be. None if the environment does not report them.
+        target: Joint values ``(n,)``, rad or m, to which the controller has sent the arm. The controller believes that
+            the arm is there. None if the environment does not report them.
     """
 
     reward: float
@@ -298,9 +298,9 @@ class Kind:
 
     @property
     def steps(self) -> int:
-        """Number of steps in an episode in which such a policy is evaluated.
+        """Number of steps of each episode in which the policy is evaluated.
 
-        It is smaller for a policy that learns from pick to pick; the longest move takes 20 steps.
+        It is smaller for a policy that learns from pick to pick. The longest move takes 20 steps.
         """
         return 30 if self.sequential else 60
 
@@ -528,7 +528,7 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
 
 
 def check_labels(labels: Sequence[str]) -> None:
-    """Raise an error if two labels have the same letters and digits, by which viewers identify a policy.
+    """Raise an error if two labels have the same letters and digits. Viewers identify a policy by these.
 
     Raises:
         InputError: If a label has no letter or digit, or two labels differ in punctuation and capitals only.
@@ -542,7 +542,13 @@ def check_labels(labels: Sequence[str]) -> None:
 
 
 def _maker(policy: Given, camera_noise_mm: float, stage: str) -> PolicyMaker:
-    """Return the function that makes a contender's policy; ``stage`` is the name of its calibration, "raw" without."""
+    """Return the function that makes a contender's policy.
+
+    Args:
+        policy: The policy, as in `contenders_of`.
+        camera_noise_mm: Standard deviation of the camera noise that an adaptive policy assumes, mm per axis.
+        stage: Name of the contender's calibration; "raw" without one.
+    """
     if not isinstance(policy, str | Path):
         return lambda env, seed: policy
     return maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)
@@ -564,7 +570,10 @@ def _calibrated(
 ) -> tuple[str, Compensate | None]:
     """Return a calibration's name for labels and its compensator; "raw" and None without a calibration.
 
-    ``given`` is one entry of the argument ``compensate`` of `contenders_of`, which explains ``arm`` and ``allow`` too.
+    Args:
+        given: One entry of ``compensate`` of `contenders_of`.
+        arm: The arm, as in `contenders_of`.
+        allow: Reservations to accept, as in `contenders_of`.
     """
     if given is None:
         return "raw", None
@@ -585,9 +594,11 @@ def _name(policy: Given) -> str:
 
 
 def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
-    """Return one label per contender, made of what differs between them: the calibration, the policy, or both.
+    """Return one label per contender: its calibration, its policy, or both, whichever differ between contenders.
 
-    ``policies`` has the name of each contender's policy, and ``stages`` the name of its calibration, "raw" without one.
+    Args:
+        policies: Name of each contender's policy.
+        stages: Name of each contender's calibration; "raw" for a contender without one.
     """
     if len(set(policies)) == 1 and (len(policies) > 1 or stages[0] != "raw"):
         return list(stages)

@@ -7,8 +7,8 @@ the gripper took gives one measurement.
 
 Policies with a memory are trained on `pickenv.wrappers.SameArm`. Before each pick they choose an offset from the fruit,
 at which the arm then aims. A recurrent policy (LSTM) observes the last pick and keeps a state. A policy with a window
-observes the last picks and weighs them by attention, depending on the joints of these picks and of the next one. Both
-are stored as a few matrices in one file with a checksum, and run by NumPy. Nothing in the file is executed.
+observes the last picks and weighs them by attention. The weights depend on the joints of these picks and of the next.
+Both kinds are stored as a few matrices in one file with a checksum, and run by NumPy. Nothing in the file is executed.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ class FeelingPick(ScriptedPick):
 def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation: str = "raw") -> Policy:
     """Make an `AdaptiveReach` for a level of camera noise; with a compensation it assumes smaller arm errors.
 
-    Their prior standard deviation is then the share `CALIBRATED_PRIOR` of the parameters' tolerances.
+    With a compensation, the prior standard deviation of each parameter is `CALIBRATED_PRIOR` times its tolerance.
 
     Args:
         env: Environment, which gives the nominal arm.
@@ -288,8 +288,8 @@ class RememberingPolicy(Actor):
 
     Attributes:
         memory: Layout of the observations: past picks and the next pick.
-        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`, which begin with the layers next to the
-            inputs.
+        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`. These names begin with the layers next
+            to the inputs.
     """
 
     memory: PickMemory
@@ -315,7 +315,7 @@ class RememberingPolicy(Actor):
             state: State from `begin`, or the state returned at the last pick.
 
         Raises:
-            InputError: If the observations have another length than those of the training.
+            InputError: If the observations have another length than the observations of the training.
         """
         if seen.shape[-1] != self.memory.inputs:
             lengths = f"{self.memory.inputs} numbers, but was given {seen.shape[-1]}"

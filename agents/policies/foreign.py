@@ -138,11 +138,11 @@ def faults_in(path: Path, what: str) -> Iterator[None]:
 
 
 def _trained(path: Path, env: Any) -> Sb3Policy:
-    """Load the policy in a zip file of Stable-Baselines3, whose algorithm its settings tell.
+    """Load the policy in a zip file of Stable-Baselines3; the settings in the file show its algorithm.
 
-    `TELLING` has module and name of an algorithm by the name of a setting that only zip files of this algorithm have,
-    in the order in which settings are tried. `RECURRENT` is that of a zip file with a recurrent policy class, which
-    otherwise looks like PPO.
+    `TELLING` gives, for the name of a setting, the module and name of the algorithm that has it. Settings are tried in
+    this order, and the first that the file has decides. `RECURRENT` is the algorithm of a file with a recurrent policy
+    class; the settings of such a file look like PPO.
     """
     require("stable_baselines3")
     try:

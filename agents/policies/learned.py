@@ -66,7 +66,7 @@ class Actor:
             path: File; ``.npz`` is appended if missing.
             kind: Name of the kind of policy, by which `read_actor` recognises the file.
             version: Version of the file's format.
-            header: Entries of the header besides those of the actor.
+            header: Entries of the header besides the entries of the actor.
             arrays: Arrays besides weights and biases, stored in single precision.
 
         Returns:
@@ -93,7 +93,7 @@ def actor_parts(
         others: Number of arrays that belong to no layer.
 
     Raises:
-        Exception: Any type of exception, if the content is not that of an `Actor`.
+        Exception: Any type of exception, if the file does not hold an `Actor`.
     """
     layers = (len(arrays) - others) // 2
     weights, biases = (tuple(arrays[f"{name}{i}"].astype(float) for i in range(layers)) for name in ("weight", "bias"))
@@ -165,7 +165,7 @@ class LearnedPolicy(Actor):
         For any other environment, the policy scales its observations and actions by `scaling`.
 
         Raises:
-            InputError: If the observation is of another kind than those of the training.
+            InputError: If the observation is of another kind than the observations of the training.
         """
         values, scaling = joined_observation(observation), self.scaling
         if isinstance(scaling, Scaling) and not isinstance(observation, dict):

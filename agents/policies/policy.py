@@ -133,7 +133,10 @@ class ReachController:
         self._still: Any = 0
 
     def commanded(self, readings: Array) -> Array:
-        """Return the joints ``(..., n)``, rad or m, to which the arm has been sent, or the readings without delays."""
+        """Return the joints ``(..., n)``, rad or m, to which the arm has been sent.
+
+        If nothing is delayed, the readings are returned.
+        """
         if not self.lag:
             return readings
         if self._sent is None or self._sent.shape != readings.shape:
@@ -145,7 +148,7 @@ class ReachController:
         return self._sent
 
     def present(self, observation: ArrayLike) -> ObservationParts:
-        """Return the parts of an observation, shifted to the joints that the arm has been sent to.
+        """Return the parts of an observation, shifted to the joints to which the arm has been sent (`commanded`).
 
         Without delays, the parts stay as observed.
 
@@ -164,9 +167,9 @@ class ReachController:
 
     @property
     def settled(self) -> Any:
-        """Whether the latest reading of each observation was taken after its arm had stopped ``(...)``.
+        """Mask ``(...)`` of the observations whose latest reading was taken after the arm had stopped.
 
-        It is True without delays.
+        If nothing is delayed, it is the value True.
         """
         return self._still > self.lag if self.lag else True
 

@@ -1,4 +1,4 @@
-"""Policies without learning: scripted ones for the nominal arm, an oracle, visual servoing, and random actions."""
+"""Policies without learning: scripted policies for the nominal arm, an oracle, visual servoing, and random actions."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class ScriptedScene(ScriptedReach):
     by this difference.
 
     Attributes:
-        FAR: Position of the tool at the start, along its axis, m at full scale, negative short of the fruit.
+        FAR: Position of the tool along its axis at the start, m at full scale; 0 at the fruit, negative short of it.
         BEFORE: The same position at the stop.
         PRESS: The same position at the end of the advance.
         AWAY: The same position at the end of the retreat.
@@ -118,7 +118,7 @@ class ScriptedScene(ScriptedReach):
         self._gaps: list[Array] = []
 
     def act(self, observation: Any) -> NDArray[np.float32]:
-        """Return the next action ``(n + 1,)``: increments of the joints, and the gripper, which is open below 0."""
+        """Return the next action ``(n + 1,)``: joint increments, then a number for the gripper, below 0 to open it."""
         reading, scale = self.present(np.asarray(_state_of(observation))[:-2]), self.env.scene.around.scale
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
@@ -154,9 +154,9 @@ class ScriptedScene(ScriptedReach):
         return joints
 
     def _drawn(self, joints: Array, distance: float) -> Array:
-        """Return joints ``(n,)`` near ``joints`` with the tool away from the fruit by ``distance``, m, in any attitude.
+        """Return joints ``(n,)`` near ``joints`` with the tool at a distance from the fruit along the wanted tool axis.
 
-        The distance is along the wanted tool axis and negative short of the fruit.
+        The tool may have any attitude. ``distance``, m, is negative short of the fruit.
         """
         assert self._wanted is not None
         goal, g = forward(self.geometry, self._wanted), self.geometry
@@ -187,11 +187,11 @@ class ScriptedScene(ScriptedReach):
 
 
 class SeeingScene(ScriptedScene):
-    """`ScriptedScene` that locates the fruit in the wrist camera's images while it stands, and corrects its target.
+    """`ScriptedScene` that locates the fruit in the wrist camera's images while the arm stands, and corrects the aim.
 
     It needs observations "pixels_environment_state_agent_pos". Li's detector (extra `harvest`) segments the fruit, and
-    the policy takes the largest region. It relies on the camera's pose on the tool as the environment states
-    it, so an error of this pose becomes an error of the grasp.
+    the policy takes the largest region. The policy relies on the pose of the camera on the tool that the environment
+    states. An error of this pose becomes an error of the grasp.
     """
 
     def __init__(self, env: Any) -> None:
@@ -442,7 +442,7 @@ class ScriptedPick(policy.ReachController):
         return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
-        """Plan three waypoints: below the fruit tried last (`OUT`), below the next fruit (`BELOW`), and at it (`AT`).
+        """Plan three waypoints: below the last fruit (`OUT`), below the next fruit (`BELOW`), at the next fruit (`AT`).
 
         Args:
             rows: Indices of the r environments, from 0.
@@ -478,8 +478,11 @@ class ScriptedPick(policy.ReachController):
     def _shares(self, joints: Array, away: Array) -> Array:
         """Return the action ``(..., n)`` towards a goal of the joints, within the limits of joint speed and tool speed.
 
-        ``joints`` are the present joints, and ``away`` is the goal minus these, ``(..., n)``, rad or m. All joints are
-        scaled by one factor, so that the tool's path is nearly straight.
+        One factor scales the steps of all joints, so that the tool's path is nearly straight.
+
+        Args:
+            joints: Present joints ``(..., n)``, rad or m.
+            away: Goal minus present joints ``(..., n)``, rad or m.
         """
         step = self.gain[..., None] * away
         share = step / self.increment
@@ -557,8 +560,9 @@ class ScriptedHarvest:
         """Take apart the observation ``values`` of `pickenv/Harvest-v0`.
 
         Returns:
-            The joints (rad or m), the share of sensing and cutting that each slave still has to do, the positions of
-            the fruit ``(fruit, 3)``, m, base frame, and flags of the fruit that hangs in reach.
+            Four arrays. The first holds the joints, rad or m. The second holds the share of sensing and cutting that
+            each slave still has to do. The third holds the positions of the fruit ``(fruit, 3)``, m, base frame. The
+            fourth is a mask ``(fruit,)`` of the fruit that hangs in reach.
         """
         machine, n = self.machine, self.machine.joints
         joints = machine.lower + (values[:n] + 1) / 2 * (machine.upper - machine.lower)

@@ -29,7 +29,7 @@ class ScaledFeatures(BaseFeaturesExtractor):
 
         Args:
             observation_space: The space of goal observations.
-            actions: Whether the share of an action that is carried out shrinks with the gap between tool and goal.
+            actions: Whether the factor `share` on actions shrinks with the gap between tool and goal.
         """
         joints = observation_space["observation"].shape[0] - 3  # type: ignore[index]  # and the believed position
         scaling = Scaling(joints, goal=True, actions=actions)
@@ -66,8 +66,8 @@ class _ScaledValues:
     """Mixin for critics that divides the actions that they read by the factor `ScaledFeatures.share`.
 
     Attributes:
-        MOST: Bound on these divided actions. It matters for hindsight goals: they lie near the tool, where the factor
-            is near zero.
+        MOST: Bound on the absolute value of the divided actions. It matters for hindsight goals. These goals lie near
+            the tool, and the factor is near zero there.
     """
 
     MOST = 3.0

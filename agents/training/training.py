@@ -47,7 +47,7 @@ PARTS = {
     *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
     *("last", "starts", "env", "buffer", "memory"),
 }
-"""Names of the parts of a checkpoint's state, on which the continuation of a training depends."""
+"""Names of the parts of a checkpoint's state. The continuation of a training depends on these parts."""
 
 
 Evaluations = list[dict[str, float]]
@@ -235,7 +235,7 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
     """Train a policy, or resume its training, and write the run's folder.
 
     Args:
-        training: Settings of the training; when resuming, they must be those of the checkpoint.
+        training: Settings of the training; when resuming, they must equal the settings in the checkpoint.
         out: Folder of the run.
         resume: Whether to continue from the folder's checkpoint.
         progress: Whether to draw a progress bar.

@@ -98,7 +98,7 @@ class Training:
 
     @property
     def remembering(self) -> dict[str, Any] | None:
-        """Arguments of the `pickenv.wrappers.SameArmVector` on which the algorithm learns, or None without it."""
+        """Arguments of the `pickenv.wrappers.SameArmVector` on which the algorithm learns; None if it needs none."""
         name, settings = self.wrapper
         return settings if name == "pickenv.wrappers.SameArm" else None
 
@@ -328,9 +328,9 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
 
     Returns:
         For reaching: "mean_mm" and "p95_mm", mean and 95th percentile of the final position error, and "success_rate".
-        They are taken over 256 episodes (of 60 steps if the environment sets no limit), or over all picks of 256 arms
-        for a policy with a memory. For picking: mean numbers of fruit per canopy, over 16 canopies, under the names
-        "collected", "damaged", "attempted" and "reachable".
+        They are taken over 256 episodes, which have 60 steps if the environment sets no limit. For a policy with a
+        memory, they are taken over all picks of 256 arms. For picking: mean numbers of fruit per canopy, over 16
+        canopies, under the names "collected", "damaged", "attempted" and "reachable".
     """
     if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
         envs: Any = make_environment(training, 16, "NextStep")

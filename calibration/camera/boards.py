@@ -79,7 +79,16 @@ def write_lens(lens: Lens, path: str | Path) -> Path:
 
 
 def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array:
-    """Return the numbers of a matrix as a flat array, from the first of ``names`` in the file's content ``found``."""
+    """Return the numbers of a matrix in a lens file as a flat array.
+
+    Args:
+        path: The file, for messages.
+        found: The file's content.
+        names: Names that the matrix can have; the first that the file has is read.
+
+    Raises:
+        InputError: If the matrix is missing or holds no numbers.
+    """
     entry = next((found[name] for name in names if name in found), None)
     values = entry.get("data") if isinstance(entry, dict) else entry
     try:
@@ -92,7 +101,7 @@ def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array
 
 
 def _size(path: Path, found: dict[str, Any], side: str) -> int:
-    """Return the size of the lens' pictures, px, from the file's content; ``side`` is "width" or "height"."""
+    """Return the width or height of the lens' pictures, px, from a file's content; ``side`` is "width" or "height"."""
     value = found.get(f"image_{side}")
     if not isinstance(value, int) or value < 1:
         raise InputError(f"{path}: 'image_{side}' is missing; give the size of the pictures that the lens is for")
@@ -297,20 +306,22 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
 
 
 FEW_MARKERS = 4
-"""Largest number of markers, in a picture without corners, for the message that too little of the board is seen. With
-more markers, or one that the board does not have, the message says that they are of another board."""
+"""Limit on the number of markers in a picture without corners. Up to this number, the message says that too few markers
+are in the picture. With more markers, or with a marker that the board does not have, it says that they are of another
+board."""
 
 WINDOW = 5
 """Half width, px, of the square around a corner whose gradients determine the corner's uncertainty."""
 
 LEAST_STD = {"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3}
-"""Least standard uncertainty of a corner, px, by kind of board. Chessboard corners, where edges cross, are more
-accurate than the outer corners of tags, which blur shifts (both measured on rendered pictures)."""
+"""Least standard uncertainty of a corner, px, by kind of board. On a chessboard, corners are crossings of edges.
+The outer corners of tags are less accurate, because blur shifts them. Both were measured on rendered pictures."""
 
 
 Corners = tuple[Array, NDArray[np.bool_], Array]
-"""The corners of a board in one picture: pixels ``(K, 2)``, 0 for a corner that was not found; a mask ``(K,)`` of the
-corners found; the standard uncertainty of each coordinate ``(K,)``, px, 1 for a corner that was not found."""
+"""The K corners of a board in one picture, as three arrays. The first holds the pixels ``(K, 2)``. The second is a mask
+``(K,)`` of the corners that were found. The third holds the standard uncertainty of a corner's coordinates ``(K,)``,
+px. A corner that was not found has the pixel 0, 0 and the uncertainty 1."""
 
 
 def find_corners(board: Board, picture: Grey, where: str) -> Corners:
@@ -352,10 +363,10 @@ def find_tags(dictionary: str, numbers: Sequence[int], picture: Grey, where: str
 
 
 def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
-    """Return arrays over all corners of a board, or points of another target, from the corners that a picture shows.
+    """Return `Corners` of a board or another target, from the corners that a picture shows.
 
     Args:
-        count: Number of corners on the board.
+        count: Number of all corners of the board, or points of the target.
         numbers: Indices of the corners that the picture shows ``(N,)``, from 0.
         places: Pixels of these corners ``(N, 2)``.
         std: Standard uncertainty of each corner's coordinates, px: ``(N,)`` or one number for all.
@@ -367,10 +378,10 @@ def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike
 
 
 def corner_std(picture: Grey, corners: Array, least: float) -> Array:
-    """Compute the standard uncertainty ``(N,)``, px, of corners along the direction in which it is largest.
+    """Compute the standard uncertainty of each corner ``(N,)``, px, in the direction in which it is largest.
 
-    The covariance of a corner is s^2 (sum g g^T)^-1, with the standard deviation s of the noise and the gradients g
-    around the corner. The square of ``least`` is added to the variance.
+    The covariance of a corner is s^2 (sum g g^T)^-1. Here s is the standard deviation of the picture's noise, and g are
+    the gradients around the corner. The square of ``least`` is added to the variance.
 
     Args:
         picture: Grey values ``(h, w)``.
@@ -397,9 +408,9 @@ def picture_noise(grey: Array) -> float:
 
 
 def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
-    """Return the indices, from 0, ``(N,)`` and pixels ``(N, 2)`` of the board's corners found in a picture.
+    """Detect a board's corners in a picture: return their indices ``(N,)``, from 0, and their pixels ``(N, 2)``.
 
-    Both are empty if none is found.
+    Both arrays are empty if no corner is found.
     """
     cv2 = opencv()
     none = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
@@ -442,7 +453,7 @@ def _grey_at(picture: Grey, place: Array) -> float:
 
 
 def _tag_corners(dictionary: str, picture: Grey) -> tuple[NDArray[np.int64], Array]:
-    """Return numbers ``(N,)`` and pixels ``(N, 2)`` of the corners of all markers of a dictionary in a picture.
+    """Detect the markers of a dictionary in a picture: return their corners' numbers ``(N,)`` and pixels ``(N, 2)``.
 
     The corners of marker k (from 0), clockwise as OpenCV finds them, have the numbers 4 k to 4 k + 3.
     """

@@ -47,10 +47,10 @@ from pickenv.calibration.identification.solve import FilterState, predict, rando
 # lines run on NumPy arrays and torch tensors.
 
 RIDGE = 16.0
-"""Value added to the diagonal of a singular J^T J to factorise it, in multiples of its trace's rounding error."""
+"""Value added to the diagonal of J^T J, so that a singular one can be factorised, in rounding errors of its trace."""
 
 SETTLED = 1e-4
-"""Largest rotation (1 - cosine) of the singular direction in the last inverse iteration that counts as converged."""
+"""Largest turn of the singular direction in the last inverse iteration, as 1 - cosine, that counts as converged."""
 
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
 """Start of the inverse iteration, far from the directions that are likely to be singular in a symmetric arm."""
@@ -119,10 +119,10 @@ class TruncatedSolver:
         return solution
 
     def _in_doubt(self, values: Sequence[Scalar]) -> Scalar:
-        """Return the components ``values`` at the k doubtful poses ``(k, len(values))``.
+        """Return the c components ``values`` at the k doubtful poses, as an array ``(k, c)``.
 
         At a doubtful pose it is unclear which singular values are to be cut off, so a singular value decomposition is
-        used there. Components that are plain numbers are repeated for each pose.
+        used there. A component that is a plain number is repeated for each pose.
         """
         return self._m.stack([(self._zeros + value)[self.doubtful] for value in values], 1)
 
@@ -162,7 +162,7 @@ def _factorised(gram: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scal
 
 
 def _forward(lower: list[list[Scalar]], right: Sequence[Scalar]) -> list[Scalar]:
-    """Solve L x = right, where ``lower`` is L below its diagonal and the diagonal is 1."""
+    """Solve L x = right; ``lower`` holds L below its diagonal, and the diagonal is 1."""
     solution: list[Scalar] = []
     for row, value in zip(lower, right, strict=True):
         for factor, known in zip(row, solution, strict=True):
@@ -298,8 +298,8 @@ class Compensator:
     def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
         """Return this map compiled to machine code, for repeated calls with ``count`` targets ``(count, n)``.
 
-        Compiled and plain map give equal commands up to rounding. There is no machine code for single precision; the
-        compensator itself is then returned.
+        Compiled and plain map give equal commands up to rounding. There is no machine code for single precision: such a
+        compensator is returned itself.
 
         Raises:
             MissingExtra: If llvmlite is not installed.
@@ -340,7 +340,7 @@ class Compensator:
         return chain_of(self.nominal), chain_of(self.identified)
 
     def _block(self, rows: Array) -> Array:
-        """Compute commands for targets ``(N, n)``; in single precision, only the corrections are rounded."""
+        """Compute commands for targets ``rows`` ``(N, n)``; single precision rounds only the corrections."""
         target = np.ascontiguousarray(rows.T, dtype=np.float32 if self.single_precision else np.float64)
         correction = np.stack(self._corrected(np, list(target)), axis=1) - target.T
         return np.asarray(np.clip(rows + correction, self.nominal.lower, self.nominal.upper))
@@ -351,17 +351,17 @@ class Compensator:
         return [clipped(m, q, *limit) for q, limit in zip(joints, limits, strict=True)]
 
     def _corrected(self, m: ModuleType, target: Sequence[Scalar]) -> Sequence[Scalar]:
-        """Compute commands, one item per joint: floats with ``m`` = math, arrays ``(N,)`` with ``m`` = numpy."""
+        """Compute commands for a target, one item per joint: floats if ``m`` is math, arrays ``(N,)`` if numpy."""
         learnt = None if self.residual is None else partial(_learnt, m, self.residual)
         return corrected(m, self.nominal, self._chains, target, self.iterations, learnt)
 
 
 def _learnt(m: ModuleType, residual: Residual, joints: Sequence[Scalar]) -> list[Scalar]:
-    """Return the six components of the learnt residual at joints: numbers, or arrays ``(N,)``.
+    """Return the six components of the residual at joints: numbers, or arrays ``(N,)``.
 
     Args:
         m: ``math`` for numbers, ``numpy`` for arrays, or the module that records operations for machine code.
-        residual: The residual.
+        residual: Terms and learnt residual as one function.
         joints: The joints: n components, rad or m.
     """
     if m is math:
@@ -389,7 +389,7 @@ def corrected(
     """Compute commands for targets as `Compensator` does, for any array module and number of arms.
 
     Args:
-        m: ``math``, ``numpy`` or ``torch``.
+        m: ``math``, ``numpy``, ``torch``, or the module that records operations for machine code.
         nominal: The geometry that the controller uses, for joint types and limits.
         chains: The nominal chain and the identified chain. The identified chain may hold many arms.
         target: Joint targets: n components ``(...)``, rad or m.
@@ -432,13 +432,16 @@ Expected = tuple[Sequence[Scalar], Scalar]
 
 
 def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> Expected:
-    """Return joints with the norm of the pose error expected there, from the error's six components."""
+    """Return ``joints`` with the norm of the pose error that is expected there; ``error`` has its six components."""
     x, y, z, u, v, w = error
     return joints, m.sqrt(x * x + y * y + z * z + u * u + v * v + w * w)
 
 
 def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
-    """Return, for each pose, ``other``, or ``one`` if the error of ``other`` is larger by `NEGLIGIBLE` or more."""
+    """Return, for each pose, ``one`` if its error is smaller by at least `NEGLIGIBLE`, else ``other``.
+
+    If ``one`` is None, the result is ``other``.
+    """
     if one is None:
         return other
     nearer = other[1] < one[1] + NEGLIGIBLE
@@ -449,21 +452,22 @@ def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
 
 
 def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:
-    """Return a pose error minus the learnt residual, component by component."""
+    """Return a pose error ``error`` minus the residual ``learnt``, component by component."""
     return [part - expected for part, expected in zip(error, learnt, strict=True)]
 
 
 def _moved(
     m: ModuleType, joints: Sequence[Scalar], step: Sequence[Scalar], limits: Sequence[tuple[float, float]]
 ) -> list[Scalar]:
-    """Return joints after a step, clipped to their limits."""
+    """Return ``joints`` plus ``step``, clipped to the joint limits."""
     return [clipped(m, q + dq, low, high) for q, dq, (low, high) in zip(joints, step, limits, strict=True)]
 
 
 def _solver(m: ModuleType, columns: Columns) -> Callable[[Sequence[Scalar], Columns], list[Scalar]]:
-    """Return a function that computes joint steps, n components, which remove pose errors.
+    """Return a function that computes the joint steps which remove a pose error.
 
-    The function's arguments are the error, six components, and the columns of this Jacobian or of one close to it.
+    The function has two arguments: the six components of the error, and the columns of this Jacobian or of one close
+    to it. It returns the n components of the joint steps.
     """
     if m is not math:
         return TruncatedSolver(columns, m).solve

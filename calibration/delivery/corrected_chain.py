@@ -42,7 +42,7 @@ from pickenv.calibration.pipeline.calibration import Calibration
 NEAR, TURNED = 1e-4, 2e-4
 """Largest distance, m, and angle, rad, between two axes that count as equal; rounding in a file can cause as much."""
 LEAST_SHARE = 1e-3
-"""Share of `NEAR` and `TURNED`, that is 0.1 micrometre, below which a relation of table and file counts as exact."""
+"""Share of `NEAR` and `TURNED` below which a relation of table and file counts as exact: 0.1 micrometre of `NEAR`."""
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 POSES = 12
@@ -140,16 +140,20 @@ def _fits(
         arm: The arm's geometry before its calibration.
         mine: The joint axes by the arm's DH table.
         theirs: The joint axes by the file.
-        worst: This function writes how closely the axes of a joint agreed where they did not agree fully, by the
-            joint's index from 0: the smallest distance, m, and the smallest angle, rad, between its two axes.
+        worst: Dictionary that this function fills, by the index (from 0) of each joint whose two axes did not agree
+            in some attempt. It holds the distance, m, and the angle, rad, between these axes in the best such attempt.
     """
     n, free = len(mine), arm.coupling is None
     signs = (1.0, -1.0) if free else (1.0,)
 
     def further(i: int, by: Pose, sign: list[float], zero: list[float]) -> Iterator[tuple[list[float], list[float]]]:
-        """Yield signs and zeros with which axis i (from 0) and all later axes agree, if axes 0 to i - 1 agree.
+        """Yield signs and zeros of all joints with which axis i (from 0) and all later axes agree.
 
-        ``by`` is the motion that earlier joints gave to axis i - 1 and all later axes.
+        Args:
+            i: Index of the axis; axes 0 to i - 1 agree already.
+            by: Motion that the root and earlier joints gave to axis i - 1 and all later axes.
+            sign: Signs of joints 0 to i - 1.
+            zero: Zeros of joints 0 to i - 2.
         """
         if i == n:
             yield sign, [*zero, 0.0]
@@ -173,13 +177,13 @@ def _fits(
 
 
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
-    """Yield candidate roots, which make the first axes of both chains equal.
+    """Yield candidates for the root, the pose of the table's world frame in the file's root link.
 
-    The first candidate is the identity, if it makes them equal. The second is the best fit of all axes. The other ones
-    put the first axis of the table on that of the file. They leave open a shift along this axis and a turn about it.
-    The first later axis that is not parallel fixes the shift. The second axis fixes the turn. If the arm begins
-    with a prismatic joint, only the first two candidates are tried; with these, joints have equal readings in both
-    chains.
+    The first candidate is the identity, if it makes the first axes of both chains equal. The second is the best fit of
+    all axes. The other candidates put the first axis of the table on the first axis of the file. This leaves open a
+    shift along the axis and a turn about it. The first later axis that is not parallel fixes the shift. The second axis
+    fixes the turn. If the arm begins with a prismatic joint, only the first two candidates are tried. With these two,
+    joints have equal readings in both chains.
 
     Args:
         mine: The axes of the arm's DH table.
@@ -223,9 +227,9 @@ def _height(axes: list[_Axis]) -> float:
 
 
 def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
-    """Fit the root to all axes by least squares, directions first, then positions, at equal joint readings.
+    """Fit the root to all axes by least squares, first to their directions, then to their positions.
 
-    ``mine`` are the axes of the arm's DH table, ``theirs`` the axes of the file.
+    All joints are at zero. ``mine`` are the axes of the arm's DH table, ``theirs`` the axes of the file.
     """
     with warnings.catch_warnings():  # parallel axes leave it open; another root is tried then
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
@@ -241,7 +245,10 @@ def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
 
 
 def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
-    """Compute the value of the joint on axis ``last`` that moves axis ``here`` onto ``wanted``; 0 if undetermined."""
+    """Compute the value, rad or m, of the joint on axis ``last`` that moves axis ``here`` onto axis ``wanted``.
+
+    The result is 0 if the axes do not determine the value.
+    """
     if last.slides:
         if wanted.slides:
             return 0.0
@@ -261,7 +268,7 @@ def _across(vector: Array, axis: _Axis) -> Array:
 
 
 def _along(axis: _Axis, value: float) -> Pose:
-    """Return the rigid motion of the link that a joint moves when the joint moves by ``value``, rad or m."""
+    """Return the rigid motion by ``value``, rad or m, of a joint: a turn about ``axis``, or a shift along it."""
     if axis.slides:
         return Pose(value * axis.direction, np.eye(3))
     turn = Rotation.from_rotvec(value * axis.direction).as_matrix()
@@ -271,8 +278,8 @@ def _along(axis: _Axis, value: float) -> Pose:
 def frames_apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: Array) -> tuple[float, float]:
     """Compute the largest distance, m, and angle, rad, between the link frames of table and file over several poses.
 
-    The frames are made equal at the first pose. The result is the largest change of K_i = N_i^-1 G^-1 U_i over the
-    other poses. N_i is a link frame of the table, U_i the same link's frame in the file, and G is the root.
+    N_i is a link's frame in the table, U_i the link's frame in the file, and G the root. The frames are made equal at
+    the first pose. The result is the largest change of K_i = N_i^-1 G^-1 U_i from the first pose to the other poses.
 
     Args:
         arm: The arm's geometry before its calibration.
@@ -304,8 +311,8 @@ def corrected_origins(
 
     Args:
         nominal: The arm's geometry before its calibration.
-        identified: The calibrated geometry in the robot's own base. If base and tool were fitted, they are those of
-            ``nominal``.
+        identified: The calibrated geometry in the robot's own base. If base and tool were fitted, it has the base
+            and tool of ``nominal``.
         branches: The file's joints from root to tip, as the only item. For a whole robot, one item for each named part
             of its tree.
         same: The relation of ``nominal`` to the file.
@@ -354,7 +361,7 @@ def _moved_origins(
         corrected: Origins that are already corrected, by the joint's name.
 
     Returns:
-        The origins, then the pose of the last joint's link in the file's root without and with correction.
+        The origins, the uncorrected pose of the last joint's link in the file's root, and the corrected pose of it.
     """
     links = links_of(joints)
     places = {joint.name: place for place, link in enumerate(links) for joint in link}
@@ -395,10 +402,12 @@ def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
 
 
 def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
-    """Return the pose of a file's joint in its link's frame, put exactly on the z axis to undo the file's rounding.
+    """Return the pose of a file's joint in its link's frame, with the joint's axis exactly on the link's z axis.
+
+    This undoes the rounding of the file.
 
     Args:
-        laid: The pose as the file gives it.
+        laid: The pose of the joint in its link's frame, as the file gives it.
         joint: The joint.
         sign: 1 or -1, the direction of the joint's motion in the table relative to the file.
     """
@@ -508,12 +517,14 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
-    """Compute an element's new pose in a file; fixed elements between it and the previous joint keep their poses.
+    """Compute the new pose of an element in a file, relative to its parent element.
+
+    Fixed elements between the element and the previous joint keep their poses.
 
     Args:
         own: The element's pose in the file, relative to its parent element.
-        whole: The element's pose relative to the previous joint, that is composed with the fixed elements in between.
-        corrected: The new pose relative to the previous joint.
+        whole: The element's pose in the file, relative to the previous joint.
+        corrected: The element's new pose, relative to the previous joint.
     """
     return behind(behind(own, inverse_pose(whole)), corrected)
 
@@ -560,7 +571,8 @@ def moved_words(moves: Sequence[tuple[ChainJoint, Pose]], plain: Sequence[tuple[
 
     Args:
         moves: Each joint as the file has it, with its corrected origin.
-        plain: The same for an arm without errors. Its origins differ from the file's by the file's rounding alone.
+        plain: Each joint with its corrected origin for an arm without errors. Such an origin differs from the file's
+            origin by the file's rounding alone.
     """
     pairs = [(joint, old, new) for (joint, new), (_, old) in zip(moves, plain, strict=True)]
     apart_by = {joint.name: apart(old, new) for joint, old, new in pairs}
@@ -580,12 +592,12 @@ def moved_words(moves: Sequence[tuple[ChainJoint, Pose]], plain: Sequence[tuple[
 def refuse_lost_files(path: Path, out: Path, names: Iterable[str]) -> None:
     """Refuse a robot's file if files that it names by relative paths are missing.
 
-    They must exist relative to the robot's file, and relative to the new file.
+    These files must exist relative to the robot's file, and also relative to the new file.
 
     Args:
         path: The robot's own file.
         out: The new file.
-        names: Paths or URLs that the robot's file names, such as those of meshes.
+        names: Paths or URLs that the robot's file names, such as paths of meshes.
 
     Raises:
         InputError: If such a file would not be found; the message names it and what to do.

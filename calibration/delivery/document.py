@@ -60,10 +60,10 @@ class Order:
     def arm_of(self, calibration: Calibration) -> Arm:
         """Return the calibration's arm with its joint speeds, which a calibration does not hold.
 
-        It is `arm`, or, if that is None, the shipped arm with the calibration's name.
+        This is `arm`. If `arm` is None, it is the shipped arm with the calibration's name.
 
         Raises:
-            InputError: If another arm was given, or if none was given and no shipped arm equals the calibration's.
+            InputError: If another arm was given, or if none was given and no shipped arm equals the calibration's arm.
         """
         arm = self.arm
         if arm is None and calibration.arm_name in shipped_arms():

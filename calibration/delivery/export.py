@@ -32,7 +32,7 @@ def onnx_document(calibration: Calibration, _: Order) -> Document:
     """Make an ONNX document of the learnt network: input ``joints`` (N, n), rad and m, output ``residual`` (N, 6 or 3).
 
     If the network was learnt with conditions, they are a second input ``conditions`` (N, c). The network is in double
-    precision, so that its output equals that of `LearntResidual.predict`.
+    precision, so that its output equals the output of `LearntResidual.predict`.
 
     Raises:
         InputError: If there is no learnt residual, its kind has no ONNX form, or the package ``onnx`` is missing.
@@ -51,11 +51,13 @@ def onnx_document(calibration: Calibration, _: Order) -> Document:
 
 
 def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words: tuple[str, ...]) -> Any:
-    """Build the ONNX model of a network: inputs (sine and cosine of joints that turn far), two scalings, and layers.
+    """Build the ONNX model of a network, with the two scalings of its inputs.
+
+    Joints that turn far enter the network as sine and cosine.
 
     Args:
-        learnt: The learnt residual, of which ``learnt.inputs`` holds the first scaling.
-        network: The learnt residual's network, which holds the second scaling and the layers.
+        learnt: The learnt residual; its ``inputs`` hold the first scaling.
+        network: The network of the learnt residual; it holds the second scaling and the layers.
         geometry: The arm.
         words: Lines of the model's documentation.
     """
@@ -109,11 +111,11 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
 
 
 BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".xml": "mjcf", ".onnx": "onnx"}
-"""Kind of a new file by the ending of its name."""
+"""For each ending of a new file's name, the kind of the file."""
 
 YAML = "kinematics-yaml"
 BY_OWN_ENDING = {".urdf": "urdf", ".xml": "mjcf", ".json": "lerobot", ".yaml": YAML, ".yml": YAML}
-"""Kind of the file to write by the ending of the robot's own file."""
+"""For each ending of the name of the robot's own file, the kind of the file to write."""
 
 
 def export(

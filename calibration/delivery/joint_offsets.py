@@ -145,7 +145,7 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
 def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: NDArray[np.int64]) -> Array:
     """Compute standard deviations of the offsets (n,), rad or m, from the parameters' covariance; NaN if unknown.
 
-    The other arguments are those of `_way`.
+    `_way` explains the arguments ``joints``, ``rows`` and ``columns``.
     """
     sure = uncertainty_from(calibration.without_residual().record)
     if sure is None:
@@ -160,7 +160,7 @@ def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: ND
 
 
 def _filling(calibration: Calibration) -> tuple[Array, str]:
-    """Return joint values that fill the measured joint ranges, or else the joint limits, and a text that says which.
+    """Return joint values that fill the measured joint ranges, or else the joint limits, and words for this region.
 
     The values are a Halton sequence, so they are always the same for one calibration.
     """
@@ -286,8 +286,12 @@ def _table(
 ) -> document.Document:
     """Make a document of rows: CSV below comment lines (None is an empty cell), or JSON if ``out`` ends in .json.
 
-    Each row is a dictionary with the same columns. ``form`` is the format's name and version, which stands in the
-    document's head beside the origin of the calibration and ``notes``.
+    Args:
+        rows: The rows as dictionaries, all with the same columns.
+        out: The file to write.
+        form: Name and version of the format, for the head of the document.
+        calibration: The calibration, whose origin the head states too.
+        notes: Sentences for the head and for `Document.notes`.
     """
     words = (*document.provenance(calibration), *notes)
     if out.suffix.lower() == ".json":

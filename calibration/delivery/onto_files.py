@@ -92,8 +92,8 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
 def _leading_tables(geometry: Geometry) -> list[int]:
     """Return, for each joint, the index (from 0) of the link whose table in the file represents the joint.
 
-    This link moves exactly as the joint does. If no link does, it is the first of the joint's links that have the
-    joint's kind (revolute or prismatic). That link moves by a ratio.
+    It is a link that moves exactly as the joint does. If there is none, the joint moves its links by ratios. Then it is
+    the first of these links that has the joint's kind (revolute or prismatic).
     """
     leaders = []
     for joint, leader in enumerate(leading_links(geometry)):
@@ -128,7 +128,7 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     """Write the calibrated joint origins into the robot's own URDF, or write a new URDF with rods as links.
 
     The rods lead from the robot's own base to the tool. If base and tool were fitted, they belong to the instrument and
-    are no part of the robot. Base and tool of a new URDF are then those of the arm before calibration. ``order`` holds
+    are no part of the robot. A new URDF then has the base and tool of the arm before calibration. ``order`` holds
     the options of the export.
 
     Raises:
@@ -221,9 +221,13 @@ def _rpy(pose: Pose) -> str:
 
 
 def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) -> list[document.Edit]:
-    """Return the edits of the text ``data`` that give the joint at index ``joint`` of ``tags`` the origin ``new``.
+    """Return the edits that give a joint of a URDF a new origin; an unchanged position or attitude keeps its text.
 
-    An unchanged position or attitude keeps its text.
+    Args:
+        data: The file's text.
+        tags: Its start tags.
+        joint: Index of the joint's tag in ``tags``.
+        new: The new origin.
     """
     values, tag = corrected_chain.changed(_origin(tags, joint), new, "xyz", "rpy", _rpy), _origin_tag(tags, joint)
     if tag is not None or not values:
@@ -323,7 +327,13 @@ def mjcf_files(path: str | Path, sample: int) -> list[Path]:
 
 
 def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> document.StartTag:
-    """Return the start tag of the body or site of that name in the file itself.
+    """Return the start tag of a body or site in the file itself; included files are not searched.
+
+    Args:
+        tags: The file's start tags.
+        kind: Name of the tag, "body" or "site".
+        name: Name of the body or site.
+        path: The file, for messages.
 
     Raises:
         InputError: If there is no such tag; the message says whether it may be in an included file.
@@ -340,10 +350,13 @@ def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> d
 
 
 def _moved_body(data: bytes, tag: document.StartTag, values: MjcfValues, new: Pose) -> list[document.Edit]:
-    """Return the edits of the text ``data`` that give the body or site of ``tag`` the pose ``new``.
+    """Return the edits that give a body or site a new pose; an unchanged position or attitude keeps its text.
 
-    An unchanged position or attitude keeps its text. ``values`` are the file's settings, such as its unit of angles,
-    which are needed to read the present pose.
+    Args:
+        data: The file's text.
+        tag: The tag of the body or site.
+        values: Settings of the file, such as its unit of angles, which are needed to read the present pose.
+        new: The new pose.
     """
     texts = corrected_chain.changed(values.pose(tag.attributes), new, "pos", "quat", _quaternion)
     orientation = next((key for key in ORIENTATIONS if key in tag.attributes), "quat")
@@ -393,8 +406,8 @@ def kinematics_yaml_document(calibration: Calibration, order: document.Order) ->
     ``kinematics_params``. This needs a UR whose DH table has the maker's link frames.
 
     Raises:
-        InputError: If the robot's file is unusable or of another arm. For a new file, if the arm's DH table does not
-            have the link frames of a UR.
+        InputError: If the robot's file is unusable or of another arm. Also, for a new file, if the arm's DH table does
+            not have the link frames of a UR.
     """
     if order.onto is None:
         return _new_kinematics_yaml(calibration)
@@ -417,9 +430,15 @@ def _ur_values(origin: Pose) -> dict[str, float]:
 
 
 def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list[document.Edit]:
-    """Return the edits of the text ``data`` that give new numbers, m or rad, to keys of the link ``name``.
+    """Return the edits that give new numbers to keys of a link in a YAML text.
 
-    ``values`` holds the numbers by key. The keys stand between the link's name and the next link's name.
+    The keys stand between the link's name and the next link's name.
+
+    Args:
+        data: The text.
+        name: Name of the link.
+        values: The new numbers by key, m or rad.
+        path: The file, for messages.
 
     Raises:
         InputError: If the link lacks one of the keys.

@@ -35,7 +35,7 @@ PASSES = 4
 FRAMES = ("controller", "instrument")
 
 OPTIONS = {"payload": "payload_kg", "temperature": "temperature_k"}
-"""Option of `pickenv apply` that gives each condition."""
+"""Options of `pickenv apply` for the conditions, by the name of the condition."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +50,15 @@ class CorrectedCommands:
         before: Predicted pose error ``(N, 6)``, m and rad, if the target itself were commanded.
         remaining: Predicted pose error with the command ``(N, 6)``, m and rad.
         impossible: The part of ``remaining`` that no joint motion removes ``(N, 6)``.
-        uncertainty: Standard uncertainty of the reached position ``(N,)``, m, and attitude ``(N,)``, rad; each None if
-            unknown.
-        within95: Bounds on 95 of 100 errors of position ``(N,)``, m, and attitude ``(N,)``, rad; each None if unknown.
+        uncertainty: Two arrays ``(N,)``, the standard uncertainties of the reached position, m, and of the reached
+            attitude, rad. An array is None if it is unknown.
+        within95: Two arrays ``(N,)``, the bounds on the position error, m, and on the attitude error, rad. 95 of 100
+            errors are below their bound. An array is None if it is unknown.
         reasons: The reason why a target is not reached, by the index of the target, from 0.
         lines: Line of each target in its file, from 1.
         prismatic: For each joint, whether it is prismatic.
-        caution: The cautions of the calibration's verdict, and what a fitted base and tool leave open in the
-            controller's frame; None if there are none.
+        caution: The cautions of the calibration's verdict. If base and tool were fitted and the frame is
+            "controller", also the mean error in the robot's own base frame. None if there are no cautions.
     """
 
     targets: Array

@@ -33,18 +33,19 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 # in its record, so that a command can be given with its uncertainty later. SI units.
 
 NEARBY, SPACING = 0.3, 1.5
-"""Largest distance between joint vectors, rad or m, at which two poses count as near each other. If measured poses are
-sparse, it is the second number times the 95th percentile of their distances from the nearest neighbour."""
+"""Largest distance between the `joint_features` of two poses that count as near each other. It is the first number. If
+measured poses are sparse, it is the second number times the 95th percentile of their distances to the nearest one."""
 
 VAGUE = 2.0
-"""Largest position uncertainty that the parameters may cause at a pose of the measured region, in multiples of the 95th
-percentile of this uncertainty at the fitted rows."""
+"""Limit on the position uncertainty that the parameters cause at a pose of the measured region. It is a multiple of the
+95th percentile of this uncertainty at the fitted rows."""
 
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `PoseUncertainty.region`."""
 
 UNCERTAINTY, WITHOUT_RESIDUAL = "uncertainty", "uncertainty_without_residual"
-"""Entries of a calibration's record with a `PoseUncertainty`: of the corrected arm, and without a learnt residual."""
+"""Names of two entries of a calibration's record. The first holds the `PoseUncertainty` of the arm with its learnt
+residual, if any. The second holds the `PoseUncertainty` of the arm without the learnt residual."""
 
 QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
 """The parts of a pose that have an uncertainty. For each: the unit shown, and the factor from SI to this unit."""
@@ -69,8 +70,8 @@ class PoseUncertainty:
         factors: For each of `QUANTITIES` with enough held-out errors, the entries "factor" and "covered". 95 of 100
             errors are smaller than "factor" times their expected root mean square. "covered" is the share of held-out
             errors below their bound. The bound of an error is computed without the error's block of rows.
-        growth: Factors on the two repeats in the uncertainty of a pose, because few held-out errors determine the
-            repeats poorly.
+        growth: Factors on ``position_repeat`` and ``attitude_repeat`` in the uncertainty of a pose. They allow
+            for the small number of held-out errors that determine these standard deviations.
     """
 
     names: tuple[str, ...]
@@ -98,7 +99,7 @@ class PoseUncertainty:
 
     @property
     def scatter(self) -> Array:
-        """Part of each pose coordinate's variance ``(6,)`` that the parameters do not explain, m^2 and rad^2."""
+        """Variance of each pose coordinate ``(6,)`` that the parameters do not explain, m^2 and rad^2."""
         return np.repeat(np.multiply([self.position_repeat, self.attitude_repeat or 0.0], self.growth), 3) ** 2
 
     def standard(
@@ -123,7 +124,8 @@ class PoseUncertainty:
             variance: Variances of the six pose coordinates ``(..., 6)``, m^2 and rad^2.
 
         Returns:
-            Uncertainties of position ``(...)``, m, and of attitude ``(...)``, rad, None without attitudes.
+            Two arrays ``(...)``: the uncertainty of position, m, and the uncertainty of attitude, rad. The second is
+            None if no attitudes were measured.
         """
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
@@ -213,13 +215,13 @@ class PoseUncertainty:
                 large.
             joints: Joints of each error's row ``(N, n)``, rad or m. If given, the bounds on 95 of 100 errors are
                 computed too.
-            blocks: For each error, an integer that is the same for all errors of one block of rows ``(N,)``, which are
+            blocks: One integer per error ``(N,)``, equal for all errors of one block of rows. Errors of one block are
                 correlated. If None, blocks are contiguous tenths of the poses.
             conditions: Payload and temperature of each error's row, if known.
             unit: "deg" if ``errors`` are misses of directions ``(N, k)``, rad. The uncertainty of positions then
                 comes from the parameters alone.
-            variance: Part of each row's pose variances that the parameters cause ``(N, 6)``, m^2 and rad^2. If None,
-                it is computed with the arm's own base and tool.
+            variance: Variances of each row's pose coordinates that the parameters cause ``(N, 6)``, m^2 and rad^2. If
+                None, they are computed with the arm's own base and tool.
         """
         positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
         names = set(found.arm_model.parameter_names)
@@ -245,8 +247,8 @@ class PoseUncertainty:
     def region(self, model: ArmModel, data: Observations) -> dict[str, Any]:
         """Return the entry of a calibration's record that describes the measured region (`Calibration.measured_there`).
 
-        It holds the joints of some rows and the joint distance that counts as near. It also holds the 95th percentile
-        of the position's uncertainty that the parameters cause at the rows, m.
+        The entry holds the joints of some rows, and the largest joint distance that counts as near. It also holds the
+        95th percentile, over the rows, of the position uncertainty, m, that the parameters cause.
 
         Args:
             model: The calibrated arm.
@@ -261,7 +263,7 @@ class PoseUncertainty:
 
 
 def variance_by_station(found: Identification, data: Observations) -> Array:
-    """Compute the variances ``(N, 6)`` of each row's pose that the identified parameters cause, m^2 and rad^2.
+    """Compute the variances of each row's pose coordinates ``(N, 6)`` that the parameters cause, m^2 and rad^2.
 
     A station is one placement of the instrument and its target. Each row's pose is taken with the base and tool of the
     row's station.
@@ -284,10 +286,10 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
 
 
 def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
-    """Compute features of joints ``(N, n)``: all revolute joints' sines, then their cosines, then prismatic joints, m.
+    """Compute features of joints: the sines of all revolute joints, then their cosines, then the prismatic joints, m.
 
     Args:
-        joints: Joints, rad or m.
+        joints: Joints ``(N, n)``, rad or m.
         slides: For each joint, whether it is prismatic.
     """
     straight = np.array(slides)
@@ -325,9 +327,9 @@ GEOMETRIES = ("arm", "nominal", "identified")
 
 
 def remainder(model: ArmModel, learnt: LearntResidual | None, conditions: Conditions, joints: Array) -> Array:
-    """Predict the difference of the true pose from the identified geometry's pose ``(..., 6)``, m and rad.
+    """Predict the true pose minus the pose of the identified geometry ``(..., 6)``, m and rad.
 
-    The difference is the sum of parametric terms and learnt residual.
+    This difference is the sum of parametric terms and learnt residual.
 
     Args:
         model: The identified arm with its terms.
@@ -440,8 +442,8 @@ class Calibration:
     def uncertainty(self, joints: ArrayLike, conditions: Conditions | None = None) -> tuple[Sizes, Sizes]:
         """Compute the standard uncertainties of predicted poses, and the bounds that 95 of 100 errors do not exceed.
 
-        A learnt residual predicts nothing at poses outside the measured region. There, uncertainties and bounds are
-        those of the arm without the residual.
+        A learnt residual predicts nothing at poses outside the measured region. There, uncertainties and bounds of
+        the arm without the residual are returned.
 
         Args:
             joints: Joints ``(..., n)``, rad or m.
@@ -513,7 +515,7 @@ class Calibration:
 
     @property
     def in_own_base(self) -> Geometry:
-        """The calibrated geometry in the robot's own frames: a fitted base and tool are replaced by those of `arm`."""
+        """The calibrated geometry in the robot's own frames: the base and tool of `arm` replace fitted ones."""
         if self.record.get("frames") == "fitted":
             return replace(self.identified, base=self.arm.base, tool=self.arm.tool)
         return self.identified
@@ -651,7 +653,13 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
 
 
 def _learnt(kind: str | None, arrays: Mapping[str, NDArray[Any]], geometry: Geometry) -> LearntResidual | None:
-    """Make the learnt residual of a file and evaluate it once; ``kind`` is its name in the header, None without one."""
+    """Make the learnt residual of a file, and evaluate it once.
+
+    Args:
+        kind: Name of the residual model in the file's header; None if the file has no learnt residual.
+        arrays: The file's arrays by name.
+        geometry: The identified geometry.
+    """
     if kind is None:
         if arrays:
             raise InputError("it holds a learnt residual that its header does not name")

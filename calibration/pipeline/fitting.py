@@ -120,7 +120,13 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
 
 
 def _refuse_unregistered(nominal: Geometry, poses: Measurements, fault: InputError) -> None:
-    """Raise an error if rows miss the arm with known base and tool, but fit the arm with fitted base and tool."""
+    """Raise an error if rows do not fit the arm with known base and tool, but fit it with fitted base and tool.
+
+    Args:
+        nominal: The arm's nominal geometry, with the known base and tool.
+        poses: The rows.
+        fault: The error that says that the rows do not fit; it becomes the cause of the raised error.
+    """
     before = sum(robust.misfit(nominal, poses))
     try:
         after = sum(robust.misfit(robust.align(nominal, poses, frames_model(nominal)).geometry, poses))
@@ -241,7 +247,7 @@ AS_CHOSEN = "as chosen without each block"
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Errors of rows that were held out of the fit: ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad.
+    """Errors of rows that were held out of the fit, as arrays ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad.
 
     Attributes:
         errors: Errors by the name of the model: "nominal", "geometric", then models with terms or a learnt residual.
@@ -249,9 +255,9 @@ class HeldOut:
         parametric: Errors of the last model without its learnt residual.
         used: Name of the model that judged the rows; if rows were held out block by block, one name per block.
         blocks: Index, from 0, of each error's block of rows ``(M,)``; None if rows were held out once.
-        pixels: For pictures, errors in px of the fit of geometry alone, one array ``(R, 2)`` per view; else empty.
-        row: Index, from 0, of each error's row ``(M,)``, if rows were held out once and have several errors each, such
-            as one error per reflector or per corner of a board; else None.
+        pixels: For pictures, the errors of the fit of geometry alone, px, one array ``(R, 2)`` per view; else empty.
+        row: Index, from 0, of each error's row ``(M,)``. A row can have several errors, such as one error per reflector
+            or per corner of a board. None if rows have one error each, or were held out block by block.
     """
 
     errors: dict[str, Array]
@@ -353,8 +359,8 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
 
     Each block of rows was judged by a model that was chosen without it. These models can differ in their terms and
     residual model, from block to block and from the model of the calibration. Under the last of the ``names``, the
-    result holds each block's errors by the model that was chosen without the block. Under the names between "geometric"
-    and the last, it holds the errors by the same model without its learnt residual.
+    result holds each block's errors by the model that was chosen without the block. Under each name between
+    "geometric" and the last, it holds the errors of these models without their learnt residuals.
 
     Args:
         names: Names of the models of the calibration of all rows: the geometry alone, then each with one part more.
@@ -406,10 +412,12 @@ def pose_uncertainties(
 
 
 def _growth(errors: Array, blocks: Rows | None) -> float:
-    """Return the factor on the RMS of errors ``(M, k)`` that adds to the mean square its standard error.
+    """Return a factor on the RMS of errors. It raises the mean square of the errors by one standard error.
 
-    ``blocks`` ``(M,)`` has the same integer for errors of one block of rows. Such errors are correlated. None if all
-    errors are independent.
+    Args:
+        errors: The errors ``(M, k)``.
+        blocks: One integer per error ``(M,)``, equal for all errors of one block of rows. Errors of one block are
+            correlated. None if all errors are independent.
     """
     if not errors.any():
         return 1.0
@@ -429,9 +437,9 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """Compute an identified arm's errors on data, without a learnt residual.
+    """Compute an identified arm's errors on data, ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
 
-    They have the shape ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
+    The prediction includes terms, but no learnt residual.
     """
     model, tracked = found.arm_model, tracked_rows(found, data)
     return data.misses(model, unknowns_of(found, data)) if tracked is None else tracked.difference(model)
@@ -450,7 +458,7 @@ def tracked_rows(found: Identification, data: Observations) -> Measurements | No
 
 
 def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[str, Any]:
-    """Return reprojection errors as values for JSON: on all views by their fit, and on held-out views by other fits.
+    """Return reprojection errors as values for JSON: of the fit to all views, and of fits that left the view out.
 
     Args:
         fit: The fit of geometry alone to all views in ``data``.
@@ -488,7 +496,7 @@ def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
 
 
 def view_names(views: PixelObservations) -> tuple[str, ...]:
-    """Return the name of each view: that of its picture, or else the file and row where its corners begin."""
+    """Return each view's name: the file name of its picture, or else the file and row where its corners begin."""
     if views.pictures is not None:
         return tuple(Path(path).name for path in views.pictures)
     places = map(origins_of(views).place, range(len(views.joints)))

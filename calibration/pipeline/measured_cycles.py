@@ -72,7 +72,7 @@ def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
 
 
 def _means(rows: Measurements, cycles: Sequence[Rows]) -> Measurements:
-    """Return one row for each pose, the mean of its cycles; ``cycles`` are indices of each pose's rows, from 0."""
+    """Return the mean row of each pose over its cycles; ``cycles`` has the indices, from 0, of each pose's rows."""
     first = rows.select([visits[0] for visits in cycles])
     rotation = None
     if rows.rotation is not None:
@@ -101,7 +101,7 @@ def _placed(arm: Arm, means: Measurements) -> tuple[list[str], Geometry]:
 
 
 def _without_accuracy(figures: dict[str, Any]) -> dict[str, Any]:
-    """Return the results of a pose (`pose_performance`) and of its drift, with None for results that need the base."""
+    """Return a pose's results (`pose_performance`) with accuracies and mean errors set to None, also in its drift."""
 
     def without(part: dict[str, Any]) -> dict[str, Any]:
         return {key: None if key.startswith(("accuracy", "mean_error")) else value for key, value in part.items()}

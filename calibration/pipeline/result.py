@@ -42,7 +42,7 @@ from pickenv.calibration.reading.read import joints_of, read_targets
 from pickenv.calibration.residuals.residual_models import GateVerdict, position_rms, selected, verdicts_record
 
 CAUTIONS, CAUTION = 3, 100
-"""Largest number of cautions in a summary, and characters per line; each caution takes two lines at most."""
+"""Largest number of cautions in a summary, and of characters in a line; each caution takes two lines at most."""
 
 SIGMAS = 2.0
 """Change of a parameter, in its standard deviations, above which the parameter counts as moved."""
@@ -219,9 +219,10 @@ class Result:
 
     @property
     def _within95(self) -> Sizes:
-        """Bounds on 95 of 100 errors of position, m, and attitude, rad, at the held-out rows, both ``(M,)``.
+        """Two arrays ``(M,)`` at the held-out rows: bounds on the position error, m, and on the attitude error, rad.
 
-        A bound that is not known is None. For a whole robot each station's base and tool are used.
+        95 of 100 errors are below their bound. An array is None if it is unknown. For a whole robot, the
+        base and tool of each station are used.
         """
         sure, test = self.uncertainty, self.test
         if self.arm.nominal.tree is None:
@@ -382,7 +383,7 @@ class Result:
     def parameters(self) -> list[dict[str, Any]]:
         """Return each fitted parameter: its name, its unit, its change and its standard deviation, in that unit.
 
-        The change is relative to the nominal geometry. For an instrument's own unknown it is the value itself.
+        The change is relative to the nominal geometry. For an unknown of the instrument, the value takes its place.
         ``prior_std`` is the standard deviation before measuring. ``narrowed`` is the share, 0 to 1, by which the rows
         have narrowed the prior. Both are None if the parameter had no prior.
         """
@@ -514,9 +515,9 @@ class Result:
 
 
 WORKSPACE_POSES, TRIALS = 400, 200_000
-"""Number of joint vectors that represent a workspace, and number of draws to find those within a box."""
+"""Number of joint vectors that represent a workspace, and number of draws to find such vectors within a box."""
 LEAST_TARGETS = 8
-"""Least number of targets that represent a workspace: twice the equations that a fitted base and tool alone explain."""
+"""Least number of targets that represent a workspace. They give twice the equations that base and tool explain."""
 
 
 def workspace_joints(text: str | Path | None, geometry: Geometry, frames: str | None = None) -> tuple[str, Array]:

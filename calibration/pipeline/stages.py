@@ -102,7 +102,7 @@ def refuse_options(train: Observations, choices: Choices) -> None:
 
 
 def _refuse_idle(choices: Choices, arm: Arm) -> None:
-    """Refuse options that have no effect, because of another option or of tool poses in place of joint values.
+    """Refuse options that have no effect, because another option or the use of tool poses rules them out.
 
     Raises:
         InputError: If such an option is set; the message names it.
@@ -253,7 +253,7 @@ def _joined(
 
 
 def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
-    """Return the station of ``like`` with the sensor, target and kind of ``data``; its rows are replaced by ``data``.
+    """Return the station of ``like`` that has the sensor, target and kind of ``data``, with ``data`` as its rows.
 
     Raises:
         InputError: If there is no such station.
@@ -306,7 +306,8 @@ GEOMETRY = "geometry"
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS, FEW_ROWS = 60, 20
-"""Largest numbers of pictures, and of poses, that are held out one by one, each judged by a fit to all others."""
+"""Largest number of pictures, and largest number of poses, that are held out one by one. A fit to all others judges
+each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -486,10 +487,10 @@ def _judged_by_blocks(draft: Draft) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """Return, for each block of `observations.contiguous_folds`, the rows to fit and the rows held out.
+    """Return, for each block of rows, the indices (from 0) of the rows to fit and of the rows held out.
 
     There are `observations.BLOCKS` blocks of neighbouring poses. With at most `FEW_VIEWS` pictures or `FEW_ROWS`
-    poses, one picture or pose of every group is held out at a time.
+    poses, a block is a single picture or pose of every group (see `observations.contiguous_folds`).
     """
     poses, count = observations.same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
@@ -591,9 +592,10 @@ def _add_terms(draft: Draft) -> Draft:
 
 
 def _learn(draft: Draft) -> Draft:
-    """Return the draft with a fit that has a learnt residual model, if there is one to learn.
+    """Return the draft with a fit that has a learnt residual model, or the draft itself if no model is to be learnt.
 
-    The model is the named one, learnt from ``choices.learn_from``, or else one that wins within the training rows.
+    If ``choices.learn_from`` is given, the named model learns from these poses. Otherwise residual models are judged
+    within the training rows. The model that wins, or that ``choices.force`` demands, learns from the training rows.
     """
     choices = draft.choices
     if choices.learn_from is not None:
@@ -615,7 +617,7 @@ def _learn(draft: Draft) -> Draft:
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     """Return the draft with a fit that adds the residual model ``kind``, learnt from ``data``.
 
-    ``settings`` are the settings of the paper's network; None for all other fits (see `fitting.fit_remainder`).
+    ``settings`` are the settings of the paper's network, or None, as in `fitting.fit_remainder`.
     """
     name, best = draft.best
     report = None if draft.progress is None else partial(draft.progress, "training network")

@@ -31,8 +31,8 @@ from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feat
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 
 SMOOTH, ROUGH = 256, 8
-"""Numbers of waves, each a cosine and a sine, whose sum is one coordinate of the error: those of the Gaussian process,
-and those of the arm's own scatter."""
+"""Number of waves that represent one output of the Gaussian process, and number of waves that represent one coordinate
+of the arm's own scatter. A wave is a cosine and a sine."""
 
 ROUGH_LENGTH = 1e-2
 """Distance between joint vectors, rad or m, beyond which the arm's own scatter is independent."""
@@ -41,8 +41,8 @@ SCATTER, SCATTER_PARTS = "scatter", ("position_std", "attitude_std", "source")
 """Entry of a calibration's record with the instrument's share of the scatter (`Scatter`), and this entry's keys."""
 
 Scatter = tuple[float, float, str]
-"""The instrument's share of a measurement's scatter: standard deviations of a position coordinate, m, and of an
-attitude coordinate, rad, and the source in words."""
+"""The instrument's share of a measurement's scatter: the standard deviation of a position coordinate, m, the standard
+deviation of an attitude coordinate, rad, and the source of both in words."""
 
 ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrument of which nothing is stated")
 
@@ -50,8 +50,8 @@ ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrumen
 def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
     """Estimate the instrument's share of the scatter of measured rows.
 
-    It is the instrument's stated or assumed uncertainty, or the scatter of repeated measurements at the same command
-    if that is smaller. Repeats contain the arm's repeatability too, so their scatter is an upper bound.
+    It is the instrument's stated or assumed uncertainty. If repeated measurements at one command scatter less, it is
+    their scatter. Repeats contain the arm's repeatability too, so their scatter is an upper bound.
 
     Args:
         data: The rows.
@@ -160,11 +160,15 @@ def twin(
 
 
 def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:
-    """Return the indices, from 0, of the geometry's dropped parameters, and the changes of all parameters with each.
+    """Return the dropped parameters of the geometry, and how the other parameters change with them at equal poses.
 
-    The changes are a matrix with one row for each of ``names``, all parameters of the model, and one column per dropped
-    parameter. In a column, the dropped parameter changes by 1, and the parameters that absorbed it change so that the
-    poses stay equal.
+    Args:
+        calibration: The calibration.
+        names: Names of the model's p parameters.
+
+    Returns:
+        The indices, from 0, of the d dropped parameters in the geometry, and a matrix ``(p, d)`` of changes. In a
+        column, the dropped parameter changes by 1. The parameters that absorbed it change so that poses stay equal.
     """
     parameters = calibration.identified.parameter_names
     dropped: Mapping[str, Mapping[str, float]] = calibration.record.get("dropped", {})
@@ -179,7 +183,10 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
-    """Return a plant's layout of k coefficients, and the matrix ``(k, t)`` from the terms' t coefficients to these."""
+    """Return the layout of a plant's k coefficients, and a matrix ``(k, t)``.
+
+    The matrix maps the t coefficients of the terms to the plant's coefficients.
+    """
     sizes = [len(term.names(geometry)) for term in terms]
     units = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))  # the last part is empty
     harmonics, moments, up = [], [], (0.0, 0.0, 1.0)
@@ -198,10 +205,12 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
 def _moments(
     term: GravityTerm | ComplianceTerm, geometry: Geometry
 ) -> tuple[list[tuple[int, int, str]], Array, tuple[float, float, float]]:
-    """Return the k moments that bend the joints, their sizes per coefficient of the term ``(k, t)``, and where up is.
+    """Return the moments by which a term bends the joints.
 
-    A moment is a joint, a link (both from 0) and a letter, as in `GravityTerm.moments`. The direction up is a unit
-    vector in the axes of frame 0.
+    Returns:
+        The k moments, a matrix ``(k, t)``, and the direction up. A moment is a joint, a link (both from 0) and a
+        letter, as in `GravityTerm.moments`. The matrix maps the term's t coefficients to the sizes of the moments. The
+        direction up is a unit vector in the axes of frame 0.
 
     Raises:
         InputError: If the term needs measured torques.
@@ -254,7 +263,12 @@ def _process(
 ) -> tuple[GaussianProcess | None, JointInputs, str]:
     """Return the Gaussian process of the errors that geometry and terms leave, its inputs, and a note on its origin.
 
-    The process is None if there are neither rows nor a learnt residual: these errors are then taken as scatter.
+    Without rows and without a learnt residual, the process is None, and all these errors count as scatter.
+
+    Args:
+        calibration: The calibration.
+        rows: Poses or positions that the calibration was fitted to, or None.
+        rng: Random generator of a process that is fitted to the rows.
 
     Raises:
         InputError: If there are no rows, and the learnt residual is no Gaussian process.

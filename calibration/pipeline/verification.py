@@ -46,15 +46,16 @@ NO_RANK = 1e-12
 """Rank tolerance of the refit, so small that no parameter counts as redundant, since each has a prior."""
 
 TOLD = 0.1
-"""Posterior standard deviation, as a share of the prior one (`CHANGE_STD`), up to which the rows determine a direction
-of a frame's shift or turn."""
+"""The rows determine a direction of a frame's shift or turn if the posterior standard deviation in this direction is at
+most this share of the prior standard deviation (`CHANGE_STD`)."""
 
 CANDIDATES = 1000
 """Largest number of rows, taken at equal steps, from which the rows for the refit are chosen."""
 
 
 Moves = dict[str, tuple[float, float, int, int]]
-"""Change of each refitted frame: shift, m, turn, rad, and of the three directions of each the number not determined."""
+"""For each refitted frame by name: its shift, m; its turn, rad; the number of the three directions in which the rows do
+not determine the shift; and this number for the turn."""
 
 
 def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...], int]:
@@ -92,22 +93,23 @@ def restationed(
 
     The learnt residual is a function of the joints. It stays with the arm, and its axes turn with the base. The
     residual is subtracted from the rows before the frames are fitted. Otherwise the frames would absorb its mean over
-    these few rows. The residual is that of the old tool's point; the motion of a new tool's point by a learnt rotation
-    is neglected.
+    these few rows. The residual holds for the old tool's point. A learnt rotation also moves a new tool's point; this
+    motion is neglected.
 
     Args:
         calibration: The calibration.
         data: Poses or positions measured at the other station.
         own: Which of "base" and "tool" are refitted.
-        count: Number of rows to fit to. They are chosen by their joints alone, so that other positions are predicted
-            best (I-optimal design).
+        count: Number of rows to fit to. The rows are chosen by their joints alone, so that positions at other rows are
+            predicted best (I-optimal design).
         used: Indices, from 0, of the rows to fit to, if they were chosen before.
 
     Returns:
-        Five values. The first is the calibration with the base and tool of the other station. The second and third are
-        indices of rows: those to which the frames were fitted, and all rows of other poses. The fourth holds the
-        expected mean square errors ``(R,)``, m^2, of those other rows. They come from the scatter of a single motion
-        to a pose and from the uncertainty of the frames. The last says how far the frames moved.
+        Five values. The first is the calibration with the base and tool of the other station. The second holds the
+        indices of the rows to which the frames were fitted. The third holds the indices of the R rows of other poses.
+        The fourth holds the expected mean square position errors of these R rows ``(R,)``, m^2. They come from the
+        scatter of a single motion to a pose and from the uncertainty of the frames. The fifth says how far the frames
+        moved.
 
     Raises:
         InputError: If there are too few rows.
@@ -159,7 +161,7 @@ def expected_square(data: Measurements) -> float:
 
 
 def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measurements:
-    """Return the data with standard uncertainties of at least the scatter in the calibration's record.
+    """Return the data with their standard uncertainties raised to the scatter in the calibration's record, if smaller.
 
     This is the scatter of a single motion to a pose (``position_repeat`` and ``attitude_repeat`` of `PoseUncertainty`).
     """
@@ -170,10 +172,15 @@ def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measuremen
 
 
 def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int) -> Rows:
-    """Return the indices, from 0, of the ``count`` rows that determine the parameters ``frames`` best.
+    """Return the indices, from 0, of the rows that determine the refitted frames best.
 
-    ``frames`` are the parameters of base, tool or both. The best rows give the smallest error of predicted positions
-    at all rows.
+    The best rows give the smallest error of predicted positions at all rows.
+
+    Args:
+        model: The calibrated arm.
+        data: The rows.
+        frames: The parameters of base, tool or both.
+        count: Number of rows to return.
     """
     pool = equally_spaced(len(data), CANDIDATES)
     jacobian = model.jacobian(data.joints[pool], data.conditions.select(pool))[..., frames.columns] * frames.tolerance
@@ -250,11 +257,11 @@ ELSEWHERE = 20.0
 """Ratio of the RMS error to the promised one above which another region of the workspace cannot be the cause."""
 
 MOSTLY = 5.0
-"""Least factor by which refitting base and tool shrinks errors above `ELSEWHERE`, if moved frames are their cause."""
+"""If errors are above `ELSEWHERE`, and refitting base and tool divides them by more than this, frames have moved."""
 
 ALIKE = 0.75
-"""Least ratio of the calibrated to the nominal arm's RMS error with which errors without a known cause mean another
-arm."""
+"""If errors have no known cause, and the calibrated arm's RMS error is at least this share of the nominal arm's RMS
+error, the rows are of another arm."""
 
 Status = Literal[
     "still good",
@@ -275,8 +282,8 @@ class Verification:
         status: The verdict.
         reason: The reason for the verdict, as a sentence.
         calibrated: Position errors of the calibrated arm, mm.
-        nominal: Position errors of the nominal arm, mm. Frames that were refitted for the calibrated arm are refitted
-            for it too, to the same rows.
+        nominal: Position errors of the nominal arm, mm. If frames were refitted for the calibrated arm, they were also
+            refitted for the nominal arm, to the same rows.
         expected: RMS position error that the calibration promises, mm.
         rows: Number of rows judged.
         refitted: Number of rows to which base and tool were refitted; 0 if they were not.
@@ -286,7 +293,7 @@ class Verification:
         left_out: Outlier rows that were left out.
         no_gain: The reason why the rows do not show that the calibrated arm is better than the nominal arm; None if
             they show it.
-        measured: Share of the rows that lie in the region that the calibration measured; None if that is not known.
+        measured: Share of the rows that lie in the region measured for the calibration; None if it is not known.
         reservation: The sentence about the calibration's own verdict "do not use"; None if it has another verdict.
     """
 
@@ -381,8 +388,8 @@ def verify(
         calibration: The calibration.
         data: New poses or positions of the same robot.
         refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved. For a
-            whole robot (a tree of links) both always are, because its calibration does not hold the places of sensors
-            and targets.
+            whole robot (a tree of links) both are always refitted, because its calibration does not hold the
+            places of sensors and targets.
         refit_rows: Number of rows to which these frames are refitted. The calibration is judged on the other rows.
 
     Raises:
@@ -456,8 +463,11 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 def _since(errors: Array, expected: Array) -> int | None:
     """Return the index, from 0, of the judged row from which on every block of rows has too large errors.
 
-    None if there is no such row, or if all blocks have too large errors. ``errors`` ``(R, 3 or 6)`` are the errors of
-    the R judged rows, m and rad. ``expected`` ``(R,)`` are the rows' expected mean square position errors, m^2.
+    The result is None if there is no such row, or if all blocks have too large errors.
+
+    Args:
+        errors: Errors of the R judged rows ``(R, 3 or 6)``, m and rad.
+        expected: Expected mean square position error of each row ``(R,)``, m^2.
     """
     if len(errors) < 4 * BLOCKS:
         return None
@@ -481,9 +491,13 @@ def _cause(
 ) -> Cause:
     """Find the cause of errors larger than promised: moved frames, a region not measured, or changed joint zeros.
 
-    ``there`` is the calibration with the frames in ``refit`` ("base", "tool") refitted. For each row, ``errors`` has
-    the errors under ``there``, m and rad, ``expected`` the expected mean square position error, m^2, and ``inside``
-    whether the row lies in the measured region (None if that is not known).
+    Args:
+        there: The calibration, with the frames in ``refit`` refitted.
+        data: The R rows.
+        errors: Errors of the rows under ``there`` ``(R, 3 or 6)``, m and rad.
+        expected: Expected mean square position error of each row ``(R,)``, m^2.
+        inside: Mask ``(R,)`` of the rows in the measured region; None if the region is not known.
+        refit: Which of "base" and "tool" were refitted.
     """
     most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
     far, all_found = size > ELSEWHERE * most / GROWN, set(refit) == set(OWN)
@@ -505,8 +519,13 @@ def _cause(
 def _left(there: Calibration, data: Measurements, errors: Array, model: ErrorModel) -> float:
     """Compute the RMS position error, m, that remains after some parameters are fitted to the rows.
 
-    The result is corrected for the degrees of freedom, and infinite if the fit fails. ``errors`` ``(R, 3 or 6)`` are
-    the rows' errors under the calibration ``there``, m and rad; ``model`` has the parameters to fit.
+    The result is corrected for the degrees of freedom, and infinite if the fit fails.
+
+    Args:
+        there: The calibration to start from.
+        data: The R rows.
+        errors: Errors of the rows under ``there`` ``(R, 3 or 6)``, m and rad.
+        model: The parameters to fit.
     """
     if len(data) < len(model.names):
         return np.inf
@@ -521,7 +540,7 @@ def _left(there: Calibration, data: Measurements, errors: Array, model: ErrorMod
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:
-    """Return the rows less the residual model's prediction; ``learnt`` ``(N, 3 or 6)`` is minus that prediction."""
+    """Subtract the residual model's prediction from the rows; ``learnt`` ``(N, 3 or 6)`` is the prediction times -1."""
     position = data.position + learnt[:, :3]
     if data.rotation is None or learnt.shape[1] < 6:
         return replace(data, position=position)

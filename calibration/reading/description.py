@@ -87,9 +87,8 @@ class ContactTable:
     """Section [touches] or [plane], and the keys that all sections of contact measurements share.
 
     ``std`` is the standard uncertainty of a contact, m. ``tool_point`` is the position of the touching point in the
-    tool frame, m. With ``tool`` "known", the position has the standard uncertainty ``tool_std``, m; with "fitted", the
-    position is unknown.
-    ``contact`` names a column that is 0 without contact.
+    tool frame, m. If ``tool`` is "known", this position has the standard uncertainty ``tool_std``, m. If ``tool`` is
+    "fitted", the position is unknown. ``contact`` names a column that is 0 without contact.
     """
 
     _: KW_ONLY
@@ -151,7 +150,7 @@ class BarTable(ContactTable):
 
 @toml_table
 class RadiusTable(ContactTable):
-    """Section [sphere]: distance of the tool point from a fixed centre, and its uncertainty, m; fitted if left out."""
+    """Section [sphere]: the tool point's distance from a fixed centre (fitted if left out), and its uncertainty, m."""
 
     length: Annotated[float, MM.positive, Key("radius_mm")] | None = None
     length_std: Annotated[float, MM.not_negative, Key("radius_std_mm")] = 0.0
@@ -162,8 +161,8 @@ class TiltTable:
     """Section [tilt]: the columns of an inclinometer's or accelerometer's axes.
 
     Each column holds the component of the downward direction along the axis, in g, or the axis's inclination, in deg or
-    rad. ``axes_std`` and ``down_std`` are 0 if the file says "known" for the sensor's mount or for a level base, and
-    infinite if it says "fitted".
+    rad. ``axes_std`` is the uncertainty of the sensor's mount, and ``down_std`` the uncertainty of the downward
+    direction in the base. Each is 0 if the file says "known", and infinite if it says "fitted".
     """
 
     columns: Annotated[tuple[str, ...], COLUMNS]
@@ -195,7 +194,7 @@ COUNTS: dict[str, tuple[Callable[[int], bool], str]] = {
     "sockets": (lambda n: n <= 1, "the column that numbers the sockets"),
     "pixels": (lambda n: n in (0, 2), "two columns, across and down, where corners and not pictures are given"),
 }
-"""For each section with columns, a test of their number, and the right number in words for messages."""
+"""For each section with columns: a test of the number of columns, and words for messages that say which are needed."""
 RECORDED = ("position", "reflectors", "wire", "dial", "tilt")
 """Kinds of measurement that can be recorded while the arm moves, since their readings follow the motion."""
 
@@ -234,9 +233,10 @@ class JointsTable:
 class PixelsTable:
     """Section [pixels]: views of a board, given as pictures or as a table of the corners detected in them.
 
-    ``mount`` is "hand" for a camera on the tool, "world" for a fixed one. ``picture`` is a column or a pattern of paths
-    of pictures, ``files`` a pattern of names of pose files. A table of corners has ``columns`` of pixels across and
-    down, ``view`` with the picture's name, and ``corner`` with the corner's number. ``std`` is in px.
+    ``mount`` is "hand" for a camera on the tool, "world" for a fixed camera. ``picture`` names the column of the paths
+    of pictures, or is a pattern of these paths. ``files`` is a pattern of the names of pose files. For a table of
+    corners, ``columns`` names the columns of pixels across and down, ``view`` the column of the picture's name, and
+    ``corner`` the column of the corner's number. ``std`` is the standard uncertainty of a corner's coordinate, px.
     """
 
     mount: Annotated[Mount, one_of(get_args(Mount))] | None = None
@@ -330,8 +330,8 @@ class RotationTable:
         Messages name ``section``, the section that has these columns, and ``key``, the section's key for the unit.
 
         Raises:
-            InputError: If there are not 3 or 4 columns, or not those of the convention, if the unit of angles is
-                missing, or if a quaternion has one.
+            InputError: If the number of columns is not 3 or 4, or does not fit the convention. Also if the unit of
+                angles is missing, or if a quaternion has a unit.
         """
         count = len(self.columns)
         if self.convention is None and count not in (3, 4):
@@ -375,7 +375,7 @@ class PosesTable:
 class TemperatureTable:
     """Section [conditions.temperature]: the column, its unit, and the reference that is subtracted, in that unit.
 
-    Without a reference, 20 degC or 0 K is subtracted.
+    Without a reference, 20 degC is subtracted if the unit is degC, and nothing if it is K.
     """
 
     column: Annotated[str, COLUMN]
@@ -414,7 +414,8 @@ class TorquesTable:
 
 
 Recorded = tuple[tuple[str, ...], tuple[float, ...], float]
-"""A recorded condition: its columns, the factor to SI of each column, and the reference subtracted before scaling."""
+"""A recorded condition: its columns, the factor from each column's unit to SI, and the reference in the
+columns' unit. The reference is subtracted before the factor is applied."""
 
 
 @toml_table

@@ -101,8 +101,8 @@ def refuse_repeated_joints(layout: description.DescriptionFile, where: str, join
 def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
     """Refuse positions that no instrument can have measured.
 
-    These are positions beyond `FARTHEST`, and positions at exactly 0, 0, 0 unless every row is there. Trackers write
-    zeros for a lost reflector.
+    These are positions beyond `FARTHEST`, and positions at exactly 0, 0, 0 unless all rows are at 0, 0, 0. Trackers
+    write zeros for a lost reflector.
 
     Args:
         table: The file.
@@ -220,8 +220,8 @@ UNIT_LENGTH = 0.02
 """Largest allowed difference of a direction vector's length from 1."""
 
 EXPLAINED, UNEXPLAINED = 0.2, 0.5
-"""Misfit of a wire's lengths to the best anchor, as a share of the lengths' spread: below the first limit if the unit
-is right, and at or above the second if it is wrong."""
+"""Limits on the misfit of a wire's lengths to the best anchor, as a share of the lengths' spread. In the right unit the
+misfit is below the first limit. In a wrong unit it is at or above the second limit."""
 
 
 @register("instrument", "reflectors")
@@ -291,12 +291,19 @@ def _dial(files: Files, section: description.DialTable) -> kinds.DistanceObserva
 
 
 def _distances(files: Files, section: description.ContactTable, read: Array, **more: Any) -> kinds.DistanceObservations:
-    """Return readings ``read`` ``(N,)``, m, as distances; ``more`` are further fields of `DistanceObservations`."""
+    """Return readings as distances, with the fields that all contact measurements share.
+
+    Args:
+        files: The files.
+        section: The section of the description.
+        read: The readings ``(N,)``, m.
+        **more: Further fields of `DistanceObservations`.
+    """
     return kinds.DistanceObservations(length=read, **_contact(files, section), **more)
 
 
 def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
-    """Return the fields that all contact measurements share: joints, uncertainty, kind and tool point.
+    """Return the fields that all contact measurements share, by name: joints, uncertainty, kind and tool point.
 
     Raises:
         InputError: If the contact column of a row is 0 or empty.
@@ -348,7 +355,11 @@ def _sockets(files: Files, section: description.SocketsTable) -> kinds.SocketObs
 def _rests(files: Files, section: description.ContactTable, socket: Rows, **more: Any) -> kinds.SocketObservations:
     """Return contacts with sockets; refuse a socket whose rows are all in one pose.
 
-    ``socket`` ``(N,)`` is each row's socket, numbered from 0; ``more`` are further fields of `SocketObservations`.
+    Args:
+        files: The files.
+        section: The section of the description.
+        socket: Number of each row's socket ``(N,)``, from 0.
+        **more: Further fields of `SocketObservations`.
     """
     contact = _contact(files, section)
     for place in np.unique(socket):
@@ -358,7 +369,7 @@ def _rests(files: Files, section: description.ContactTable, socket: Rows, **more
 
 @register("instrument", "tilt")
 def _tilt(files: Files, section: description.TiltTable) -> kinds.TiltObservations:
-    """Read the downward direction's components along the sensor's axes; they are the sines of given inclinations."""
+    """Read the components of the downward direction along the sensor's axes; an inclination gives its sine."""
     values = np.concatenate([table.values(section.columns) for table in files.tables])
     std = np.full(values.shape, section.std)
     if section.unit != "g":
@@ -422,7 +433,8 @@ def _refuse_other_unit(files: Files, data: kinds.DistanceObservations) -> None:
 
 
 STEM = "{file}"
-"""Placeholder in the path of a picture or joint log: name of a pose or instrument file without ending, or of a bag."""
+"""Placeholder in a path. In a picture's path it stands for the name of the pose file without ending. In a joint log's
+path it stands for the name of the instrument's file without ending, or for the name of a bag."""
 
 MANY_BLIND = 0.25
 """Share of pictures without a detected corner above which all pictures are refused, since something is wrong."""
@@ -518,7 +530,7 @@ def _entry(file: Path) -> dict[str, str]:
 
 
 def _by_number(file: Path) -> list[tuple[int, str]]:
-    """Return a sort key by the numbers in a file's name, so that 2.yaml comes before 10.yaml."""
+    """Return a sort key for a file by the numbers in its name, so that 2.yaml comes before 10.yaml."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
 
@@ -535,10 +547,16 @@ def _found_in_pictures(
 ) -> tuple[list[Corners], list[str]]:
     """Detect the corners in each row's picture.
 
-    A few pictures without a corner are kept, to be listed in reports. ``pictures`` are the paths of each row's picture.
+    A few pictures without a corner are kept, to be listed in reports.
+
+    Args:
+        table: The views, one row each.
+        file: The description, with [board] or [target].
+        pictures: Path of each row's picture.
+        camera: The lens.
 
     Returns:
-        The corners of each picture, and why the picture shows none (empty if it shows some).
+        The corners of each picture, and for each picture the reason why it shows no corner (empty if it shows one).
 
     Raises:
         InputError: If a picture is missing or of another size than the lens, or if more than `MANY_BLIND` show none.
@@ -581,9 +599,15 @@ def _grey(path: Path) -> Grey:
 def _found_in_table(
     table: Table, pixels: description.PixelsTable, known: Sequence[int]
 ) -> tuple[list[int], list[Corners]]:
-    """Read a table of corners, with one row per corner: return the index of each view's first row, and its corners.
+    """Read a table of corners.
 
-    Indices are counted from 0. ``known`` are the numbers of the board's corners; the table may hold no others.
+    Args:
+        table: The table, with one row per corner.
+        pixels: Section [pixels] of the description.
+        known: Numbers of the board's corners; the table may hold no others.
+
+    Returns:
+        The index, from 0, of the first row of each view, and the corners of each view.
     """
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.columns)

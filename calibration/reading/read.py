@@ -79,7 +79,7 @@ def read_observations(
 def read_scene(
     paths: Sequence[str | Path], geometry: Geometry | Arm, columns: str | Path | None = None, *, repeats: bool = False
 ) -> list[Observations]:
-    """Read measurements as `read_observations` does, as one data set for each sensor and target of their rows.
+    """Read measurements as `read_observations` does, as one data set for each pair of sensor and target.
 
     Args:
         paths: The files.
@@ -108,7 +108,8 @@ def read_scene(
 
 
 Log = tuple[table_files.Table, Path]
-"""A file as a table, and its path; for views, the folder that the paths of pictures start from."""
+"""A file as a table, and the file's path. For views, a folder takes the place of the path: paths of pictures start
+there."""
 
 
 def _by_scene(
@@ -116,13 +117,16 @@ def _by_scene(
 ) -> list[tuple[description.DescriptionFile | None, list[Log]]]:
     """Split files by the sensor, target and series of their rows.
 
+    Args:
+        logs: The files.
+        given: The files' column description. If it has no [scene] or is None, all files are one part.
+
     Returns:
-        For each part, a column description whose [scene] names the part's sensor and target, and the part's files. If
-        ``given``, the files' description, has no [scene] or is None, all files are one part.
+        For each part, a column description whose [scene] names the part's sensor and target, and the part's files.
 
     Raises:
-        InputError: If a row has an empty name, if no row names the sensor, target or series of the description, or if a
-            link is of no sensor or target.
+        InputError: If a row has an empty name, or no row names the sensor, target or series of the description. Also if
+            [scene.links] names an unknown sensor or target.
     """
     if given is None or given.scene == description.SceneTable():
         return [(given, logs)]
@@ -163,8 +167,12 @@ def _data_set(
 ) -> Observations:
     """Read files of one layout, whose rows are of one sensor and one target, as one data set.
 
-    ``given`` is the column description, None for pickenv's own format, and ``where`` its name for messages. With
-    ``repeats``, a row may equal another to the last digit.
+    Args:
+        logs: The files.
+        geometry: The arm's nominal geometry.
+        given: The column description; None for pickenv's own format.
+        where: Name of the description, for messages; empty for pickenv's own format.
+        repeats: Whether a row may equal another to the last digit.
     """
     tables = [table for table, _ in logs]
     names, links = (("", ""), ("", "")) if given is None else given.ends
@@ -233,7 +241,16 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
 
 
 def _refuse_more_joints(header: Sequence[str], expected: Sequence[str], geometry: Geometry, where: str) -> None:
-    """Refuse more joint columns than joints; a column of a mimic joint or a slide would renumber the other joints."""
+    """Refuse a joint column that is of none of the arm's joints.
+
+    A column of a mimic joint or a slide would otherwise renumber the other joints.
+
+    Args:
+        header: Column names of the file.
+        expected: Names of the arm's joint columns.
+        geometry: The arm's nominal geometry.
+        where: The file, for messages.
+    """
     stems = {name.rpartition("_")[0] for name in expected}
     for column in header:
         stem, _, unit = column.rpartition("_")
@@ -247,13 +264,17 @@ def _refuse_more_joints(header: Sequence[str], expected: Sequence[str], geometry
 
 
 def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry:
-    """Return the geometry whose poses are the poses of the second of ``links`` relative to the first.
+    """Return the geometry whose poses are the poses of the second link relative to the first link.
 
-    An empty name of a link is the world. A single chain, which is no whole robot, is returned unchanged.
+    A single chain, which is no whole robot, is returned unchanged.
+
+    Args:
+        geometry: The geometry of the robot.
+        links: Names of the two links; an empty name is the world.
+        where: Name of the description or file, for messages.
 
     Raises:
-        InputError: If a link is not one of the robot's, if both links are the same, or if links of a single chain are
-            named.
+        InputError: If the robot has no such link, if both links move together, or if links of a single chain are named.
     """
     tree, ends = geometry.tree, []
     for name in links:
@@ -272,7 +293,7 @@ def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry
 
 
 def _placed(rows: Any, geometry: Geometry, **origins: Any) -> Observations:
-    """Return rows with what is known of their origin added, and for a whole robot the links of sensor and target.
+    """Return rows with their `Origins` added, and for a whole robot with the links of sensor and target added too.
 
     Args:
         rows: The rows, `Observations` of any kind.
@@ -296,8 +317,12 @@ def _rows(
 ) -> Observations:
     """Read the rows of tables of one layout as `Observations` of any kind except pixels.
 
-    ``layouts`` are the column descriptions of the files, and ``where`` is their name for messages; it may be empty.
-    ``frames`` is "known" if the rows are poses of the arm's own tool in its own base frame, else "fitted".
+    Args:
+        tables: The files.
+        layouts: The column description of each file.
+        where: Name of the descriptions, for messages; it may be empty.
+        geometry: The arm's nominal geometry.
+        frames: "known" if the rows are poses of the arm's own tool in its own base frame, else "fitted".
     """
     pairs = zip(tables, layouts, strict=True)
     joints = np.concatenate([kind_readers.read_joints(*pair, where or pair[0].where, geometry) for pair in pairs])
@@ -387,7 +412,10 @@ def _poses(files: kind_readers.Files, _section: Any) -> Measurements:
 
 
 def _repeat(tables: list[table_files.Table], layouts: list[description.DescriptionFile]) -> float | None:
-    """Compute the RMS scatter of a repeated position, m, from the files' ``std_columns``; None without these."""
+    """Compute the RMS scatter of repeated positions, m, from the files' ``std_columns``; None without these columns.
+
+    ``layouts`` has the column description of each file in ``tables``.
+    """
     squares = []
     for table, layout in zip(tables, layouts, strict=True):
         if std_columns := getattr(layout.measured, "std_columns", ()):

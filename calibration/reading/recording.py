@@ -1,9 +1,9 @@
 """Turn recordings into measured rows: a recording is a joint log and an instrument's log, each with its own clock.
 
 The clocks are compared twice. First the speeds of the nominal tool and of the readings are correlated over all lags
-(Furrer et al. 2017). Then offset and rate of the clocks are unknowns of the same least squares as the arm's
-parameters, and the joint velocities enter their derivatives. The arm's errors therefore do not bias the clocks. SI
-units; times in seconds.
+(Furrer et al. 2017). Then one least-squares fit identifies the arm's parameters together with offset and rate of the
+clocks. The derivatives with respect to offset and rate come from the joint velocities. The arm's errors therefore do
+not bias the clocks. SI units; times in seconds.
 """
 
 from __future__ import annotations
@@ -39,11 +39,12 @@ CHORD = 0.1
 """Time over which speeds are computed, s: shorter than a motion, and long enough to suppress noise."""
 
 LEAST_OVERLAP, LEAST_CORRELATION = 0.3, 0.4
-"""Conditions for trying a clock offset: smallest overlap, as a share of the shorter log, and correlation of speeds."""
+"""Conditions for trying a clock offset: least overlap of the logs, as a share of the shorter log, and least correlation
+of the speeds."""
 
 PEAKS, CLEAR = 5, 0.7
-"""Number of clock offsets that are tried by fits, and a limit on the best offset's median misfit as a share of that of
-every other offset. Above this limit, the best offset is ambiguous."""
+"""Largest number of clock offsets that are tried by fits, and a limit on the ratio of two median misfits: of the best
+offset, and of any other offset. If a ratio is above this limit, the best offset is ambiguous."""
 
 TRIED, FITTED = 300, 1500
 """Largest numbers of samples: in a fit that tries a clock offset, and in the final fit of the clocks."""
@@ -55,14 +56,14 @@ STEP = 1e-3
 """Time step of the numerical derivative of residuals by the clock's offset, s."""
 
 REST, SETTLING = 0.4, 0.3
-"""Shortest standstill of the arm that gives a row, s, and time at its start in which the arm may still swing, s."""
+"""Shortest standstill of the arm that gives a row, s, and time after the stop in which the arm may still swing, s."""
 
 SPREADS, FINEST, COARSEST = 8.0, 2e-5, 3e-3
-"""Largest range of a resting joint's values, in standard deviations of the joint log's noise, and the least and the
-largest value of this limit, rad or m."""
+"""A joint rests if the range of its values is at most SPREADS standard deviations of the joint log's noise. This limit
+is at least FINEST and at most COARSEST, rad or m."""
 
 PATH, MOST_ROWS = 0.02, 2000
-"""Path length in joint space between two rows of a motion, rad and m together, and the largest number of such rows."""
+"""Path length in joint space between two rows of a motion, rad and m together, and largest number of such rows."""
 
 Read = Callable[[Table, description.DescriptionFile], Observations]
 """Function that reads a table of joints and readings by its description, each row as if measured at rest."""
@@ -93,11 +94,11 @@ class Timed(Observations):
     source = worked_out(attrgetter("rows.source"))
 
     def at(self, clock: Array) -> Observations:
-        """Return the rows with the joints at their times, for the clock's offset, s, and relative rate ``(2,)``."""
+        """Return the rows with the joints at their times; ``clock`` is the clock's offset, s, and relative rate."""
         return replace(self.rows, joints=self.joints_at(self.times / (1.0 + clock[1]) - clock[0]))  # type: ignore[type-var]
 
     def unknowns(self) -> tuple[str, ...]:
-        """Return the names of the rows' own unknowns, then those of the clock's offset and rate."""
+        """Return the names of the rows' own unknowns, then the names of the clock's offset and rate."""
         return (*self.rows.unknowns(), "clock_offset", "clock_rate")
 
     def tolerances(self) -> Array:
@@ -117,7 +118,7 @@ class Timed(Observations):
         return np.r_[rows, -1], np.r_[channels, 0]
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Compute the whitened residuals of the rows, then that of the prior of the clock's rate."""
+        """Compute the whitened residuals of the rows, then the residual of the prior of the clock's rate."""
         own, clock = np.split(unknowns, [-2])
         return np.concatenate([self.at(clock).residual(model, own), -clock[1:] / RATE_STD])
 
@@ -143,7 +144,7 @@ class Timed(Observations):
         return np.asarray((late - early) / (2.0 * STEP))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Compute measured minus predicted readings of the rows, with the joints at the times of a clock.
+        """Compute measured minus predicted readings of the rows, with the joints by the clock's offset and rate.
 
         Args:
             model: The arm.
@@ -153,7 +154,7 @@ class Timed(Observations):
         return self.at(clock).misses(model, own)
 
     def select(self, rows: Any) -> Self:
-        """Return the rows with the given indices, or those that a mask marks."""
+        """Return the rows that indices (from 0) or a mask select."""
         return replace(self, rows=self.rows.select(rows), times=self.times[np.asarray(rows)])
 
 
@@ -300,7 +301,15 @@ def _with_std(layout: description.DescriptionFile, factors: list[float]) -> desc
 
 
 def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: str, geometry: Geometry) -> Logs:
-    """Read both logs, check their times, and leave out lost samples."""
+    """Read both logs of a recording, check their times, and leave out lost samples.
+
+    Args:
+        table: The instrument's log.
+        path: The file of the instrument's log.
+        layout: The column description, with [recording].
+        where: Name of the description, for messages.
+        geometry: The arm's nominal geometry.
+    """
     told = layout.recording
     assert told is not None
     home = path.parent / told.joints.replace(kind_readers.STEM, path.name if path.is_dir() else path.stem)
@@ -356,9 +365,9 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
 
 
 def _complete(log: Table, names: tuple[str, ...]) -> Table:
-    """Return only those messages of a joint log that have all columns used by the expressions ``names``.
+    """Return the messages of a joint log that have all columns of the expressions ``names``.
 
-    A topic may also carry other messages, such as those of a gripper alone.
+    A topic may also carry other messages, such as messages of a gripper alone.
     """
     lacking = np.zeros(len(log.lines), dtype=bool)
     for name in _columns_in(names, log.header):
@@ -397,13 +406,14 @@ def _times(table: Table, name: str, unit: str) -> Array:
 
 
 def _speeds(logs: Logs) -> tuple[Array, Array, float]:
-    """Compute the speeds of the nominal tool, over the joint log, and of the readings, over the instrument's log.
+    """Compute two speeds over time: of the nominal tool by the joint log, and of the readings.
 
     Speeds are angular if attitudes were measured, else linear. They do not depend on the base, and hardly on the tool.
 
     Returns:
-        Motion of the tool per `CHORD` of time ``(A,)``, rad or m; motion of the readings per `CHORD` ``(B,)``, rad or
-        the file's unit; and the time step of both, s.
+        Two arrays and a number. The first array is the motion of the tool per `CHORD` of time ``(A,)``, rad or m. The
+        second is the motion of the readings per `CHORD` ``(B,)``, rad or the file's unit. The number is the time step
+        of both, s.
     """
     step = max(float(np.median(np.diff(logs.times))), float(np.median(np.diff(logs.log))), 2e-3)
     width = max(round(CHORD / step), 2)
@@ -446,7 +456,13 @@ def _lags(one: Array, other: Array) -> tuple[Array, Array]:
 
 
 def _peaks(logs: Logs) -> list[float]:
-    """Return candidate times of the instrument's first sample on the joint log's clock, s from its first entry."""
+    """Return candidates for the clocks' offset: times of the instrument's first sample, s.
+
+    The times are on the joint log's clock, from the joint log's first entry.
+
+    Raises:
+        InputError: If nothing moves, or the speeds agree at no offset.
+    """
     one, other, step = _speeds(logs)
     where = logs.table.where
     if np.ptp(one) < 1e-6 or np.ptp(other) == 0.0:
@@ -472,11 +488,14 @@ def _peaks(logs: Logs) -> list[float]:
 def _timed(logs: Logs, start: float, most: int, read: Read) -> tuple[Timed, float, float] | None:
     """Return samples with their joints at one offset of the clocks; None if too few samples lie within the joint log.
 
-    The offset is given by ``start``, the time of the instrument's first sample on the joint log's clock, s from the
-    joint log's first entry. At most ``most`` samples are taken.
+    Args:
+        logs: The recording.
+        start: Time of the instrument's first sample on the joint log's clock, s from the joint log's first entry.
+        most: Largest number of samples to take.
+        read: Function that reads a table as measurements of the arm at rest.
 
     Returns:
-        The samples, the offset ``-start``, s, and the mean sample time from the first sample, s.
+        The samples, the offset ``-start``, s, and the mean time of the usable samples from the first sample, s.
     """
     times = logs.times + start
     usable = np.flatnonzero(logs.covered(times))
@@ -576,9 +595,9 @@ def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
 
 
 def _thinned(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
-    """Return the index, from 0, of single samples, spaced by a path length in joint space (`PATH`).
+    """Return the indices, from 0, of single samples that are spaced by a path length in joint space (`PATH`).
 
-    The arguments are those of `_rests`.
+    Each index is an array of its own. `_rests` explains the arguments.
     """
     joints = logs.joint_spline(times[usable])
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(joints, axis=0), axis=1))]

@@ -55,11 +55,11 @@ SAME_AS = {
     "abb_quaternion": "quaternion_wxyz",
     "ur_rotation_vector": "rotation_vector",
 }
-"""Attitude conventions of robot makers: for each name, the name of the equal convention in `GENERAL`."""
+"""For each attitude convention of a robot maker, the name of the equal convention in `GENERAL`."""
 
 CONVENTIONS = GENERAL | {maker: GENERAL[general] for maker, general in SAME_AS.items()}
-"""Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function that turns values
-(N, 3 or 4), angles in rad, into rotations."""
+"""Attitude conventions by name. Each has a kind of unit, "angle" or "none", and a function from values ``(N, 3 or 4)``
+to rotations. Angles are in rad."""
 
 
 def columns_of(convention: str) -> int:
@@ -109,7 +109,7 @@ SEPARATORS = {";": "';'", "\t": "a tab", "|": "'|'", ",": "','", " ": "a space"}
 """Column separators and their names in messages, in the order in which a file is searched for them."""
 
 LONGEST_EXPRESSION = 1000
-"""Length of an expression, in characters, up to which it is parsed; a parser's depth is limited."""
+"""Largest length of an expression that is parsed, in characters, because the depth of a parser is limited."""
 
 
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
@@ -148,13 +148,13 @@ class Table:
 
         Args:
             rows: The indices.
-            where: Name of the new table for messages; the same as before if empty.
+            where: Name of the new table for messages; empty for the name of this table.
         """
         cells, lines = [self.rows[row] for row in rows], [self.lines[row] for row in rows]
         return Table(where or self.where, self.header, cells, lines, self.decimal)
 
     def texts(self, name: str) -> list[str]:
-        """Return the cells of a column as text without surrounding spaces; empty where a row is too short."""
+        """Return the cells of a column as text without surrounding spaces; a cell is empty if its row is too short."""
         index = self.index(name)
         return [row[index].strip() if index < len(row) else "" for row in self.rows]
 
@@ -193,9 +193,12 @@ class Table:
         return np.array(blank)
 
     def _number(self, text: str, name: str, row: int) -> float:
-        """Return the finite number that a cell's ``text`` spells, with this file's decimal sign.
+        """Return the finite number that the text of a cell spells, with this file's decimal sign.
 
-        Column ``name`` and the index ``row``, from 0, are for messages.
+        Args:
+            text: Text of the cell.
+            name: The cell's column, for messages.
+            row: Index of the cell's row, from 0, for messages.
         """
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
         value = decimal_number("" if grouped else text.replace(self.decimal, "."))
@@ -349,9 +352,15 @@ def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[li
 
 
 def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, decimal: str) -> None:
-    """Refuse a file whose first row is a single cell that holds another separator, which later rows hold too.
+    """Refuse a file whose first row is a single cell with another separator in it, if later rows hold it too.
 
     The message says which separator it is, and how a column description names it.
+
+    Args:
+        rows: The cells of each row.
+        path: The file, for messages.
+        separator: The expected separator.
+        decimal: The expected decimal sign.
     """
     first = rows[0][0].strip() if len(rows[0]) == 1 else ""
     better = next((character for character in SEPARATORS if character != separator and character in first), None)
@@ -431,7 +440,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
         *("transform.rotation.x", "transform.rotation.y", "transform.rotation.z", "transform.rotation.w"),
     ),
 }
-"""Types of messages that are read, all with a stamp in their header, and the fields of each that become columns. The
+"""For each type of message that is read, the fields that become columns. All types have a stamp in their header. The
 columns of a JointState are named after its joints."""
 
 
