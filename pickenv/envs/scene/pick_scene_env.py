@@ -55,7 +55,7 @@ class PickSceneEnv(ReachEnv):
     fruit's stem breaks when it is pulled hard enough. The policy commands the *nominal* arm, that is the model that its
     controller believes in. But the *true* arm moves, touches the fruit and carries the wrist camera. Its parts, joint
     zeros, compliance, backlash and warm-up are as in the plant (the model of the true arm). Delays and noise are
-    as in `pickenv/Reach-v0`. With an ideal plant the states equal those of the plain MuJoCo model, to the bit.
+    as in `pickenv/Reach-v0`. With an ideal plant the states equal the plain MuJoCo model's states, to the bit.
     Contacts, their forces and the success of picks are simulated, and hold for this cup and this branch only.
 
     The arm is drawn as rods from the arm file, or comes from a manufacturer's MJCF file (`model`). Of the arm, only the
