@@ -20,7 +20,8 @@ from pickenv.base import InputError
 from pickenv.wrappers.compensation import Compensate
 
 FAR = 1e-3
-"""Largest distance, m, of the achieved goal or the tool's site from the nominal arm's tool (for the site m and rad)."""
+"""Largest accepted error of the nominal arm's tool: its distance from the achieved goal, m, or the norm of its pose
+error relative to the tool's site, m and rad."""
 
 
 def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
@@ -49,7 +50,10 @@ class _Hung:
     def __init__(self, model: Any, data: Any, nominal: Geometry) -> None:
         """Find the parts that are fixed to the tool, at the present joints.
 
-        ``model`` is a `mujoco.MjModel`, ``data`` its `mujoco.MjData`, and ``nominal`` the geometry of its arm.
+        Args:
+            model: `mujoco.MjModel`.
+            data: `mujoco.MjData` of the model; it does not change.
+            nominal: Geometry of the model's arm.
 
         Raises:
             InputError: If no site that is fixed to the last link is at the nominal arm's tool.
