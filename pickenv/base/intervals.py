@@ -334,9 +334,9 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
 def crossed_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
     """Return the 95 % interval of the mean of values ``(A, B)`` over A arms and B training seeds (crossed factors).
 
-    By the two-way analysis of variance with mean squares MS, the variance of the mean is
-    (MS_A + MS_B - MS_AB) / (A B), but at least the larger of MS_A / (A B) and MS_B / (A B). The degrees of freedom are
-    Satterthwaite's (1946).
+    A two-way analysis of variance gives the mean squares MS of arms, of seeds and of their interaction. The variance of
+    the mean is (MS_A + MS_B - MS_AB) / (A B). It is at least the larger of MS_A / (A B) and MS_B / (A B). The degrees
+    of freedom are Satterthwaite's (1946).
 
     Args:
         values: One value for each arm with each training seed ``(A, B)``.

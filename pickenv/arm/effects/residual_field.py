@@ -162,11 +162,11 @@ def _fill(field: ResidualField, inputs: Array, outputs: Array) -> None:
 
 
 def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
-    """Return the weighted sums of the waves ``(..., O)`` at inputs ``(F, ...)`` (joints minus the centre).
+    """Return the weighted sums of the waves ``(..., O)``.
 
     Args:
         features: The frequencies of the waves.
-        inputs: The inputs.
+        inputs: Joints minus the centre, as inputs ``(F, ...)`` of the waves.
         weight: Weights of cosines and sines ``(O, 2, K)``, or ``(N, O, 2, K)`` for N arms.
     """
     angle = features.angles(inputs)

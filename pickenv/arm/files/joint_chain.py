@@ -160,7 +160,7 @@ SIDE = 2
 
 
 class Carried(NamedTuple):
-    """A child link, and the names of the moving joints from its parent; no names if the child is fixed to its parent.
+    """A child link, and the names of the moving joints between parent and child; no names if the child is fixed.
 
     ``only_named`` is True for a link that only marks a place (an MJCF site). Such a link is taken as the flange only if
     it has one of the names `FLANGES`.

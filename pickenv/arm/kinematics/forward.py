@@ -123,8 +123,8 @@ if a file rounds half a turn to 3.1416."""
 
 SKEW = 0.7
 """If the cross product of two axes is shorter than this, and the axes are far apart (`TILT_LEVER`), their angle goes
-into beta too. Without beta, a small tilt of one axis would move both feet of the common normal far along the axes: by
-the length of the normal times the tilt / sine^2, with the sine of the angle between the axes. With beta, the link runs
+into beta too. Without beta, a small tilt of one axis would move both feet of the common normal far along the axes. They
+would move by the normal's length times the tilt / sine^2; the sine is that angle's sine. With beta, the link runs
 straight across to the other axis. Then a displacement of the other axis only turns the link, by the displacement /
 distance."""
 

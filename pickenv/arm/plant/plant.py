@@ -141,8 +141,8 @@ class Plant:
         effects: The effects, in the order in which they act, from the motors to the tool.
         posterior: Posterior distribution of the calibration from which the plant was made, else None.
         unmeasured: Groups of the effects' constants that were never measured.
-        ready: A geometry and its `Chain`, which `plant_batch.plants_on` gives; None to compute the chain. The chain is
-            ignored if this geometry is not the plant's.
+        ready: A geometry and its `Chain`, from `plants_on`; None to compute the chain. The chain is ignored if this
+            geometry is not the plant's.
 
     Raises:
         ValueError: If two effects have one name.

@@ -72,8 +72,8 @@ class SizesTable:
         sliding_sag: Deflection of a slide under the arm's own weight in the pose of its largest force, m.
         turning_gap: Backlash of a revolute joint, rad.
         sliding_gap: Backlash of a slide, m.
-        preload_share: Gravity torque, as a share of the joint's largest, above which the joint always rests on the
-            same side of its backlash.
+        preload_share: Gravity torque above which a joint always rests on the same side of its backlash. It is a share
+            of the joint's largest gravity torque.
         expansion: Coefficient of linear expansion of the links, 1/K.
         warm_up: Time constant of the warm-up, s.
     """
@@ -142,8 +142,8 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
 
     Link parameters are drawn about the nominal geometry, effect sizes about the sizes in ``plant``. Arm i has its own
     random stream, child i (from 0) of ``rng``. The arm therefore does not depend on ``count``. The arm's random numbers
-    do not depend on which effects are on either, because effects with random numbers of their own take these at the end
-    of the stream.
+    are the same whatever effects are on. For this, effects with random numbers of their own take them at the end of the
+    stream.
 
     If the plant was made from a calibration, the arms are drawn from the calibration's posterior distribution. The
     parameters that the calibration's data do not identify are drawn within their tolerances about the identified

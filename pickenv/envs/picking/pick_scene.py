@@ -559,8 +559,8 @@ def draw_starts(task: Task, orchard: PickSetting, reach: Reach, episodes: Sequen
             `arms="per_env"` the arm of the last episode stays if there was one.
 
     Returns:
-        For each episode the fruit, the index (from 0) of the true arm (None if there is only one), and the key of the
-        random streams that the situation (delays and noise) uses.
+        Three values for each episode. The first is the fruit. The second is the index (from 0) of the true arm, or None
+        if there is only one arm. The third is the key of the random streams of the situation (delays and noise).
 
     Raises:
         InputError: If no fruit is within reach, or the population has no arm with a given index.

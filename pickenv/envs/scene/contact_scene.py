@@ -152,8 +152,8 @@ class ContactScene:
     def _robot(self, arm: Arm) -> Any:
         """Return the MuJoCo specification (`mujoco.MjSpec`) of the arm without weight, and of the world camera.
 
-        Drives of arms that are made from an arm file have `STIFFNESS` and `DAMPING`, and their gears add the inertia
-        `ARMATURE`, all in SI units for joints that turn or slide. These drives settle within one or two control
+        If the arm is made from an arm file, its drives have `STIFFNESS` and `DAMPING`, and the gears add the inertia
+        `ARMATURE`. All are in SI units for joints that turn or slide. These drives settle within one or two control
         periods. Without the inertia, damping would dominate at the wrist and contacts would be unstable.
 
         A manufacturer's meshes are replaced in contacts and pictures by convex hulls with at most `HULL` corners. Geoms
