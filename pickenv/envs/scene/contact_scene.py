@@ -390,8 +390,8 @@ class ContactScene:
     def carry(self, joints: Sequence[float], tool: Frame, grip: float, period: float) -> None:
         """Simulate one period, in which the drives move on to new joint positions.
 
-        Stems and the cup's hold are checked for breaking after every `CHUNK` physics steps, which take `TIMESTEP`, or
-        half of it with a manufacturer's model.
+        A physics step takes `TIMESTEP`, or half of it with a manufacturer's model. After every `CHUNK` physics steps,
+        stems and the cup's hold are checked for breaking.
 
         Args:
             joints: Positions of the true arm's joints at the end of the period ``(n,)``, rad or m.

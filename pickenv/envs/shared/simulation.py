@@ -461,7 +461,10 @@ def goal_reward(x: Executor, task: Task, achieved: Scalars, desired: Scalars) ->
 
 
 def gap_reward(x: Executor, task: Task, gap: Scalars, turn: Scalars) -> Scalar:
-    """Compute the reward from ``gap`` (m) and rotation vector ``turn`` (rad) between tool and fruit, 3 numbers each."""
+    """Compute the reward from the position gap ``gap``, m, and the attitude gap ``turn``, rad, of tool and fruit.
+
+    Each has three components; ``turn`` is a rotation vector.
+    """
     distance_mm, angle_deg = 1e3 * length(x, gap), DEGREES * length(x, turn)
     return _reward(x, task, in_capture_region(task, distance_mm, angle_deg), distance_mm, angle_deg)
 
