@@ -274,7 +274,10 @@ def _verified(content: bytes, limit: int) -> Container:
 def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, Any]:
     """Return the entry for an array in the header: its type, shape, memory order and SHA-256.
 
-    ``numbers`` are the bytes that hold the array's numbers in the file; ``name`` is for the message of an error.
+    Args:
+        name: Name of the array, for error messages.
+        value: The array.
+        numbers: The bytes that hold the array's numbers in the file.
     """
     if not PLAIN.fullmatch(value.dtype.str):
         raise TypeError(f"array {name!r} holds {value.dtype}; only numbers and text can be saved")

@@ -1,4 +1,4 @@
-"""Optional dependencies (extras), and lazy imports, so that a module that needs one is imported when first used.
+"""Optional dependencies (extras), and lazy imports: a module that needs an extra is imported when it is first used.
 
 The core calibrates, compensates and makes environments. All heavier dependencies are extras.
 `pip install 'pickenv[learn]'` adds networks to an installed pickenv, wherever it came from. `pickenv[all]` adds

@@ -3,7 +3,7 @@
 Readers of CSV, TOML, YAML, URDF and MJCF call `read_text` and `parsed`. Each error is an `InputError` that names the
 file. `shortened` cuts quotations in messages to one line. `decimal_number` decides which text is a number.
 
-A file is written under a temporary name that is then changed. Only one process at a time writes into a run folder, so
+A file is written under a temporary name, and then renamed. Only one process at a time writes into a run folder, so
 results of two runs are never mixed in it. The lock is an operating-system lock on the file `.lock` in the folder. It
 ends with its process, however the process ends. The file contains the id of that process. On a file system without
 locks, runs proceed without a lock.
@@ -296,7 +296,10 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
-    """Return ``error`` if it is an OSError, else the full-disk error from which it followed; None without either."""
+    """Return ``error`` if it is an OSError.
+
+    Else return the error of a full disk (`FULL`) that was being handled when ``error`` was raised; None without one.
+    """
     if isinstance(error, OSError):
         return error
     before = None if error is None else error.__context__
@@ -447,7 +450,7 @@ def _is_device(path: Path) -> bool:
 LOCK = ".lock"
 
 _held: set[str] = set()
-"""Folders that this process has locked; another `locked` of one of them in this process does nothing."""
+"""Folders that this process has locked. If `locked` is called again for one of these folders, it does nothing."""
 
 
 @contextmanager

@@ -9,7 +9,7 @@ contiguous poses of a file. So compute one statistic per arm first, and pass one
 if the sample is too small or its values do not vary, because an interval that is too narrow would be worse than none.
 Equal data give equal intervals.
 
-How often each interval covers the true value is measured in tests/coverage, for errors like those of arms.
+How often each interval covers the true value is measured in tests/coverage, for errors like the errors of arms.
 """
 
 from __future__ import annotations
@@ -334,9 +334,9 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
 def crossed_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
     """Return the 95 % interval of the mean of values ``(A, B)`` over A arms and B training seeds (crossed factors).
 
-    By the two-way analysis of variance with mean squares MS, the variance of the mean is
-    (MS_A + MS_B - MS_AB) / (A B), but at least the larger of MS_A / (A B) and MS_B / (A B). The degrees of freedom are
-    Satterthwaite's (1946).
+    A two-way analysis of variance gives the mean squares MS of arms, of seeds and of their interaction. The variance of
+    the mean is (MS_A + MS_B - MS_AB) / (A B). It is at least the larger of MS_A / (A B) and MS_B / (A B). The degrees
+    of freedom are Satterthwaite's (1946).
 
     Args:
         values: One value for each arm with each training seed ``(A, B)``.
@@ -404,7 +404,7 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
 
 
 def _equal(values: Array) -> bool:
-    """Return whether values differ only by rounding, or by so little that the square would be zero."""
+    """Return whether values differ only by rounding, or by so little that the difference squared would be zero."""
     return not np.ptp(values) > max(1e-12 * np.abs(values).max(), 1e-150)
 
 
@@ -489,7 +489,7 @@ def estimate(
     """Compute estimates and their 95 % intervals from the rows of a table.
 
     Args:
-        columns: The table's columns by name, such as those of `pickenv.experiments.Rows`.
+        columns: The table's columns by name, such as the columns of `pickenv.experiments.Rows`.
         value: The column to estimate; several columns for a statistic of them.
         by: Grouping columns. Each combination of their values has one estimate, in the order of the rows.
         over: One or two columns that name the random units (such as arms, and training seeds) over which estimates
@@ -506,13 +506,14 @@ def estimate(
         least: Smallest number of units for an interval of a mean.
         lost: Limit above which a value counts as lost. The mean leaves lost values out, and their share is estimated
             separately. Otherwise a few values ten times as large as the others would change the mean much, and a sample
-            of few units might not contain one.
+            of few units might contain no such value.
 
     Returns:
         For each combination, a dictionary of the ``by`` columns, "estimate", "units", "runs" and perhaps "lost".
-        "estimate" is an `Estimate`. "units" is the mean of each unit of the first ``over`` column ``(units,)``. "runs"
-        is the mean of each unit of the second ``(runs,)``, or None if there is only one. "lost" is an `Estimate` of the
-        lost share, if ``lost`` is given. "units" and "runs" are None for "removed" and a statistic of several columns.
+        "estimate" is an `Estimate`. "units" has the mean of each unit of the first ``over`` column ``(units,)``. "runs"
+        has the mean of each unit of the second ``over`` column ``(runs,)``, or is None without a second column. "lost"
+        is an `Estimate` of the lost share, if ``lost`` is given. "units" and "runs" are None for "removed" and a
+        statistic of several columns.
 
     Raises:
         ValueError: If the units of a combination do not have equally many rows, or both sides of a difference do not

@@ -31,7 +31,7 @@ SHIPPED: Mapping[str, tuple[str, ...]] = {
     "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
     "backend": ("pickenv.envs.reaching.vector",),
 }
-"""Modules that register the extensions shipped with pickenv, by kind. `names` has the order of these modules."""
+"""Modules that register the extensions shipped with pickenv, by kind. `names` lists extensions in this order."""
 
 KINDS = tuple(SHIPPED)
 """All kinds of extension. `docs/extending.md` describes what an extension of each kind must have."""
@@ -223,7 +223,10 @@ def _load_entry_point(kind: str, name: str) -> None:
 
 
 def _entry_points(kind: str) -> Mapping[str, tuple[metadata.EntryPoint, ...]]:
-    """Return the entry points of a kind by name, except (with a warning) those with the name of a shipped extension."""
+    """Return the entry points of a kind by name.
+
+    An entry point with the name of a shipped extension is left out, with a warning.
+    """
     offers: dict[str, tuple[metadata.EntryPoint, ...]] = {}
     for point in _installed(tuple(sys.path)):
         entry = _entries[kind].get(point.name)

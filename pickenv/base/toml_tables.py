@@ -263,7 +263,7 @@ def toml_table(kind: Class) -> Class:
     """Make a class a frozen dataclass that `read_toml` reads from a TOML table.
 
     The table may have only the keys of the class's fields. It must have the keys of all fields without a default,
-    except those in `FILLED_IN`.
+    except the fields in `FILLED_IN`.
     """
     table: Any = kind if "__dataclass_fields__" in vars(kind) else dataclass(frozen=True)(kind)
     table.__pydantic_config__ = {"alias_generator": lambda name: _keys(table)[name][0], "extra": "forbid"}
@@ -321,7 +321,7 @@ def _marks(hint: Any) -> Iterator[Any]:
 
 @cache
 def units_of(kind: Any) -> dict[str, Unit]:
-    """Return the `Unit` of each field of a table class that has one, by the field's name."""
+    """Return the units of a table class by the names of its fields; fields without a `Unit` are left out."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: mark for name, hint in hints.items() for mark in _marks(hint) if isinstance(mark, Unit)}
 

@@ -24,7 +24,7 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
     Spaces, seeds, episodes and observations stay as they are. Joint readings are mapped back to nominal joints, so that
     a policy that servos on its believed tool position does not cancel the compensation. Readings still change slightly
     if the plant (true arm) has motors that move in whole encoder counts and lag behind their commands
-    (`plant="orchard"`): by less than a count, plus a few thousandths of the amount by which the compensator changes the
+    (`plant="orchard"`). They change by less than a count, plus a few thousandths of the compensator's change of the
     step. The compensator is stored in the innermost environment, so wrappers may be stacked in any order. Closing the
     wrapper removes the compensator.
 

@@ -181,7 +181,10 @@ class GapScalingVector(ScaledVector, RecordConstructorArgs):
 def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> Scaling:
     """Return the scaling of a reach task's flat observations; raise an `InputError` if ``env`` has other observations.
 
-    ``space`` is the observation space of one environment. ``actions`` says whether actions are scaled too.
+    Args:
+        env: The environment, or environments.
+        space: Observation space of a single environment.
+        actions: Whether actions are scaled too.
     """
     task = getattr(env.unwrapped, "task", None)
     if not isinstance(task, Task) or space.shape != (scaling_of(task).inputs,):

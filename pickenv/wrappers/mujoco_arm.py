@@ -20,7 +20,8 @@ from pickenv.base import InputError
 from pickenv.wrappers.compensation import Compensate
 
 FAR = 1e-3
-"""Largest distance, m, of the achieved goal or the tool's site from the nominal arm's tool (for the site m and rad)."""
+"""Largest accepted error of the nominal arm's tool: its distance from the achieved goal, m, or the norm of its pose
+error relative to the tool's site, m and rad."""
 
 
 def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
@@ -42,14 +43,18 @@ class _Hung:
     """The parts of a model that are fixed to the tool, with a method that shifts them to where the true tool has them.
 
     The bodies from the last joint to the tool's site keep their frames and inertias, because the site's readings and
-    welds to mocap bodies depend on frames and inertias. (A task that starts each move from the welded body's pose would
-    drift.) Only the geoms and cameras of these bodies are shifted, and all bodies attached to them, such as fingers.
+    welds to mocap bodies depend on these. With shifted frames, a task that starts each move from the welded body's pose
+    would drift. So only the geoms and cameras of these bodies are shifted, and all bodies attached to them, such as
+    fingers.
     """
 
     def __init__(self, model: Any, data: Any, nominal: Geometry) -> None:
         """Find the parts that are fixed to the tool, at the present joints.
 
-        ``model`` is a `mujoco.MjModel`, ``data`` its `mujoco.MjData`, and ``nominal`` the geometry of its arm.
+        Args:
+            model: `mujoco.MjModel`.
+            data: `mujoco.MjData` of the model; it does not change.
+            nominal: Geometry of the model's arm.
 
         Raises:
             InputError: If no site that is fixed to the last link is at the nominal arm's tool.
@@ -145,8 +150,8 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             contact: Whether the parts fixed to the tool are shifted to where the true arm has them; see the class.
 
         Raises:
-            InputError: If ``env`` has no MuJoCo model, or without ``contact`` no goal interface, or if the arms differ
-                in their number of joints, or if the plant has effects with memory.
+            InputError: If ``env`` has no MuJoCo model, the arms differ in their number of joints, or the plant has
+                effects with memory. Without ``contact`` also if ``env`` has no goal interface.
         """
         RecordConstructorArgs.__init__(self, nominal=nominal, true=true, compensator=compensator, contact=contact)
         gym.Wrapper.__init__(self, env)

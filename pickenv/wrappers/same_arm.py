@@ -121,7 +121,7 @@ def scaled_joints(geometry: Geometry, joints: Array) -> Array:
 class _Run:
     """The present runs of several arms. Arrays have one row per arm.
 
-    The seed of an arm's row and the number of poses drawn with the seed determine the arm's next pose.
+    Each arm has a seed. The seed and the number of poses drawn with it so far determine the arm's next pose.
 
     Attributes:
         LONGEST_LOOK: Largest number of steps that the arm may stay at a fruit, since the environment's own time limit
@@ -181,10 +181,10 @@ class _Run:
         return self.memory.shown(self.scaled, self.tokens)
 
     def options(self, actions: Any, arms: Any) -> dict[str, Any]:
-        """Return options for a reset that puts each arm at the aim of its action, with the present fruit as goal.
+        """Return options for a reset that puts each arm at its aim, with the present fruit as goal.
 
-        ``actions`` are shifts of the aim ``(rows, 3)``, base frame, as shares of ``reach_mm``. ``arms`` are the numbers
-        of the arms, from 0.
+        ``actions`` are shifts of the aims ``(rows, 3)``, base frame, as shares of ``reach_mm``. ``arms`` are the
+        indices of the arms in the population, from 0.
         """
         shifts = as_numbers("actions", actions)
         if shifts.shape != (len(self.joints), 3) or not np.isfinite(shifts).all():

@@ -118,10 +118,13 @@ class Sb3Vec(VecEnv):
     def _endings(
         self, rows: NDArray[np.intp], last: Any, final: dict[str, Any], cut: NDArray[np.bool_]
     ) -> list[dict[str, Any]]:
-        """Return one info for each episode that ended; ``rows`` has the indices (from 0) of their environments.
+        """Return one info for each episode that ended.
 
-        The other arguments have one entry per environment: the last observations, the infos of the last step, and
-        whether the time limit cut the episode off.
+        Args:
+            rows: Indices (from 0) of the environments whose episodes ended.
+            last: The last observation of each environment.
+            final: The infos of the last step: arrays by key, with one entry per environment.
+            cut: For each environment, whether the time limit cut the episode off.
         """
         columns: dict[str, Any] = {"terminal_observation": [last[i].copy() for i in rows]}
         columns["TimeLimit.truncated"] = cut[rows].tolist()

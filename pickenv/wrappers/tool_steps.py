@@ -39,7 +39,7 @@ class ToolSteps(Rescaling):
         SERVO: Step towards the fruit if the action is zero, as a share of the step that an action of 1 adds.
         ARRIVED: Gap below which the arm does not move, m.
         CLOSING: Gap above which the gripper does not close, m: about the largest gap at which it can take a fruit.
-        UPRIGHT: Length whose error has the same weight as a tilt of one radian, m.
+        UPRIGHT: Error of the tool's position that has the same weight as a tilt of one radian, m.
         DAMPING: Damping of the Jacobian's inverse, as a share of the mean squared norm of the Jacobian's rows.
         CENTRING: Share of each joint's distance from mid-range that a full step removes in the Jacobian's null space.
         COLLECTING: Distance by which the tool must go down to collect a detached fruit, m.
@@ -104,9 +104,14 @@ class ToolSteps(Rescaling):
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Compute the environment's actions ``(..., n + 1)`` from a policy's ``actions (..., 3)``.
 
-        ``values`` are the environment's observations ``(..., n + 17)``. Actions of another shape are returned
-        unchanged, so that the environment raises the error. If an action has a number that is not finite, or of a
-        magnitude above ``most``, the result for it has numbers that the environment refuses.
+        Actions of another shape are returned unchanged, so that the environment raises the error. If an action has a
+        number that is not finite, or of a magnitude above ``most``, the result has numbers that the environment
+        refuses.
+
+        Args:
+            values: The environment's observations ``(..., n + 17)``.
+            actions: The policy's actions.
+            most: Largest magnitude of a number that the environment accepts.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.outputs):
@@ -128,10 +133,12 @@ class ToolSteps(Rescaling):
         return np.concatenate([steps, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
 
     def joint_steps(self, values: Array, steps: Array) -> Array:
-        """Compute joint steps ``(..., n)``, as shares of the largest, for ``steps`` of the tool ``(..., 2)``.
+        """Compute the joint steps ``(..., n)`` for steps of the tool, as shares of the largest joint steps.
 
-        The first number of a tool step, -1 to 1, is sideways, towards the vertical line through the fruit. The second,
-        -1 to 1, is upwards. ``values`` are the environment's observations ``(..., n + 17)``.
+        Args:
+            values: The environment's observations ``(..., n + 17)``.
+            steps: Steps of the tool ``(..., 2)``, two numbers from -1 to 1. The first is sideways, towards the vertical
+                line through the fruit. The second is upwards.
         """
         n, low, high = self.joints, self.geometry.lower, self.geometry.upper
         q = low + (values[..., :n] + 1.0) / 2.0 * (high - low)

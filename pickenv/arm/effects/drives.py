@@ -58,7 +58,10 @@ class Servo(Effect, place=MOTOR + 0.5):
         return tuple(at.motor)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the motor positions ``dt`` seconds after they were ``memory``, while the command of ``at`` is held."""
+        """Return the motor positions after ``dt`` seconds, in which the command of ``at`` is held.
+
+        ``memory`` has the motor positions before.
+        """
         numbers = zip(memory, at.motor, self.time_constant, strict=True)
         return tuple([target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers])
 
@@ -107,7 +110,7 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
         return (self.final_rise,)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the memory, the temperature rise in K, ``dt`` seconds after it was ``memory``."""
+        """Return the temperature rise, K, after a time ``dt``, s; ``memory`` has the temperature rise before."""
         return (warmed(at.m, self, memory[0], dt),)
 
     def drawn(self, draws: Draws) -> ThermalGrowth:
@@ -117,9 +120,13 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
 
 
 def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> Scalar:
-    """Return the temperature rise, K, ``dt`` seconds after it was ``rise``, by the warm-up of ``thermal``.
+    """Return the temperature rise, K, after the arm has warmed up for a further time ``dt``.
 
-    ``m`` is the namespace of the functions: ``math``, ``numpy`` or ``torch``.
+    Args:
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+        thermal: The effect, which has the final temperature rise and the time constant.
+        rise: Temperature rise before, K.
+        dt: Time, s.
     """
     return thermal.final_rise + (rise - thermal.final_rise) * exponential(m, -dt / thermal.time_constant)
 
@@ -139,10 +146,12 @@ class GravityYield(Effect, place=JOINT + 0.2):
     """Deflection of joints under gravity, with coefficients that a calibration identified.
 
     Attributes:
-        moments: For each term: the joint that yields, the link whose weight loads the joint (both indices from 0), and
-            a mass parameter of the link. "m" is the link's mass, placed at its origin. "x", "y" and "z" are the link's
-            first moments of mass along the axes of its frame.
-        sizes: Coefficient of each term: rad/m for a mass on a revolute joint, rad for a first moment.
+        moments: Three entries for each term. The first is the index (from 0) of the joint that yields. The second is
+            the index (from 0) of the link whose weight loads the joint. The third is a mass parameter of this link. "m"
+            is the link's mass, placed at its origin. "x", "y" and "z" are the link's first moments of mass along the
+            axes of its frame.
+        sizes: Coefficient of each term. Its unit on a revolute joint is rad/m for a mass, rad for a first moment. Its
+            unit on a prismatic joint is m.
         up: Direction against gravity in the axes of frame 0.
     """
 
@@ -177,8 +186,9 @@ class MeasurementNoise(Effect, place=BESIDE):
     """Normally distributed errors of a measuring instrument.
 
     Attributes:
-        position_std: Standard deviation of a position at zero range, m, per axis.
-        attitude_std: Standard deviation of an attitude, rad, per axis.
+        position_std: Standard deviation of a measured position at zero range, m, per axis. The range is the distance
+            from the instrument.
+        attitude_std: Standard deviation of a measured attitude, rad, per axis.
         range_std: Increase of the position's standard deviation per metre of range, m/m, per axis.
         centring_std: Standard deviation of the offset of the target's centre from the tool point, m, per axis. The
             offset is constant as long as the target is mounted.
@@ -190,7 +200,7 @@ class MeasurementNoise(Effect, place=BESIDE):
     centring_std: Annotated[float, MM.not_negative] = 0.0
 
     def position_std_at(self, distance: Any) -> Any:
-        """Return the standard deviation of a position per axis, m, at a distance, m, from the instrument."""
+        """Return the standard deviation per axis, m, of a position measured at ``distance``, m, from the instrument."""
         return self.position_std + self.range_std * distance
 
 

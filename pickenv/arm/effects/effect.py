@@ -147,8 +147,8 @@ never moves the arm (an instrument's noise). Add a fraction below 1 to order the
 Components = tuple[Scalar, ...]
 
 Weight = tuple[Scalar, Scalar, Scalar]
-"""Three numbers: the mass of a link, all later links and the payload, kg; this mass times the world's x of its centre,
-kg*m; and this mass times the world's y of its centre, kg*m."""
+"""Three numbers for a link, all later links and the payload together. The first is their mass, kg. The second is this
+mass times the world's x of its centre, kg*m. The third is this mass times the world's y of its centre, kg*m."""
 
 
 class Passage:
@@ -191,9 +191,9 @@ class Passage:
     def pull(self) -> tuple[list[Weight], list[Scalar]]:
         """Two lists: the `Weight` that each link carries, and the gravity torque or force on each joint, N*m or N.
 
-        The first list is the result of `weights_behind`, with the payload's `Weight` at its end. Both lists hold for
-        the joint positions ``driven``. They neglect the small changes by bending and thermal growth. The plant (the
-        true arm with its errors) must have masses.
+        The first list is the result of `weights_behind`; its last entry is the payload's `Weight`. Both lists are
+        computed at the joint positions ``driven``, and neglect the small changes by bending and thermal growth. The
+        plant (the true arm with its errors) must have masses.
         """
         if self._pull is None:
             straight = frames(self.m, self.cold, self.driven)  # not kept: NumPy uses its memory again
@@ -325,7 +325,10 @@ class Effect:
         return self.begin(at)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the effect's memory ``dt`` seconds after it was ``memory``, while the command of ``at`` is held."""
+        """Return the effect's memory after ``dt`` seconds, in which the command of ``at`` is held.
+
+        ``memory`` is the memory before.
+        """
         return memory
 
     def fault(self, arm: Arm) -> str:

@@ -64,9 +64,9 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
         return self.creep * x, self.creep * y, self.settlement
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the creep about x and y, rad, and the settlement, m, ``dt`` seconds after they were ``memory``.
+        """Return creep about x and y, rad, and settlement, m, after ``dt`` seconds, in which the command is held.
 
-        The joint command of ``at`` is held for this time.
+        ``memory`` has the creep and the settlement before.
         """
         faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
         return tuple([final + (part - final) * faded for final, part in pairs])
@@ -117,7 +117,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
         """Return 3 n components: motion profiles x of the n joints, then vibrations e, then sums e' + p x'.
 
         The prime is the derivative by time, p the participation. Profiles and vibrations are in rad or m, sums in rad/s
-        or m/s. The sums are continuous where the command jumps.
+        or m/s. The sums are continuous even if the command jumps.
         """
         still = [value * 0.0 for value in at.command]
         return *at.command, *still, *still
@@ -127,7 +127,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
         return ()
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the 3 n components that `begin` describes, ``dt`` seconds after they were ``memory``."""
+        """Return the 3 n components that `begin` describes, after ``dt`` s; ``memory`` has the components before."""
         m, lag, n = at.m, self.rise_time, len(at.command)
         faded = exponential(m, -dt / lag)
         profiles, vibrations, rates = [], [], []
@@ -156,7 +156,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
     def drawn(self, draws: Draws) -> Settling:
         """Return the vibration of many arms, drawn as in `Effect.drawn`.
 
-        Damping ratios are clipped to 0.5, the largest of a structure.
+        Damping ratios are clipped to 0.5, the largest damping ratio of a structure.
         """
         modes = super().drawn(draws)
         damping: Any = tuple(np.minimum(zeta, 0.5) for zeta in modes.damping)

@@ -1,9 +1,9 @@
 """Errors that no link table can express: the tool's displacement as a random function of the joints, a sum of waves.
 
 The waves are random features of a Gaussian process (Rahimi and Recht 2007). An output is the sum over k of
-a_k cos(w_k x) + b_k sin(w_k x), where x are the joints minus a centre. Joints with a wide range enter by sine and
-cosine. Arms share the frequencies w_k and differ in the weights a_k and b_k. Of each output's waves, smooth ones come
-first, then rough ones. The weights of smooth waves are learnt by a calibration. Rough waves have such a short length
+a_k cos(w_k x) + b_k sin(w_k x). Here x are the joints minus a centre. Joints with a wide range enter by sine and
+cosine. Arms share the frequencies w_k and differ in the weights a_k and b_k. Each output has smooth waves first, then
+rough waves. A calibration learns the weights of the smooth waves. Rough waves have such a short length
 scale that measurements cannot distinguish them from scatter. Waves are computed in single precision, because they are
 most of the cost; this is exact to nanometres. The module also has periodic errors of drives that differ from arm to
 arm. Units: m and rad.
@@ -50,8 +50,8 @@ class Features:
     """The frequencies of a field's waves, which all arms share.
 
     Attributes:
-        frequency: Angular frequency of each wave along each of the F inputs ``(F, O K)``, 1/rad or 1/m: K columns for
-            each of the O outputs.
+        frequency: Angular frequencies of the waves ``(F, O K)``, 1/rad or 1/m. There is one row for each of the F
+            inputs, and there are K columns for each of the O outputs.
         centre: Value that is subtracted from each input, F numbers.
         periodic: For each joint, whether its sine and cosine are inputs instead of the joint itself.
         outputs: Number of outputs O: 3 (position) or 6 (pose).
@@ -162,9 +162,12 @@ def _fill(field: ResidualField, inputs: Array, outputs: Array) -> None:
 
 
 def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
-    """Return the weighted sums of the waves ``(..., O)`` at inputs ``(F, ...)`` (joints minus the centre).
+    """Return the weighted sums of the waves ``(..., O)``.
 
-    ``weight`` has the weights of cosines and sines ``(O, 2, K)``, or ``(N, O, 2, K)`` for N arms.
+    Args:
+        features: The frequencies of the waves.
+        inputs: Joints minus the centre, as inputs ``(F, ...)`` of the waves.
+        weight: Weights of cosines and sines ``(O, 2, K)``, or ``(N, O, 2, K)`` for N arms.
     """
     angle = features.angles(inputs)
     cosines, sines = (np.cos(angle) * weight[..., 0, :]).sum(-1), (np.sin(angle) * weight[..., 1, :]).sum(-1)
@@ -203,8 +206,8 @@ class WavesTable:
     Attributes:
         seed: Seed of the periodic errors of the plant (the simulated true arm). Arms that are drawn from the plant have
             other periodic errors.
-        decay: Exponent by which shorter periods have smaller coefficients. The standard deviation of a coefficient is
-            that at the longest period times (longest period / period) ** -decay.
+        decay: Exponent by which shorter periods have smaller coefficients. At a period, the standard deviation of a
+            coefficient is its value at the longest period times (longest period / period) ** -decay.
         joints: For each joint four numbers: the number of waves, the standard deviation of a coefficient at the longest
             period, the longest period, and the shortest period.
     """
@@ -227,7 +230,7 @@ class WaveSpread:
         std: Standard deviation of a coefficient at the longest period, rad or m.
         longest: Longest period, rad or m.
         shortest: Shortest period, rad or m.
-        decay: Exponent with which the standard deviation falls: as (longest period / period) ** -decay.
+        decay: Exponent by which the standard deviation falls: it is std * (longest / period) ** -decay.
     """
 
     joint: int

@@ -383,6 +383,8 @@ def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar
 class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural_rigidity"}, needs_load=True):
     """Bending of a boom by the moment of masses beside its tip: delta = M L^2 / 2EI, slope = M L / EI.
 
+    M is the moment, and L the boom's free length.
+
     Attributes:
         flexural_rigidity: Flexural rigidity EI, N*m^2.
     """
@@ -404,7 +406,9 @@ class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural
 @register("effect", "boom_torsion")
 @toml_tables.toml_table
 class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexural_rigidity"}, needs_load=True):
-    """Twist of a boom by masses beside its axis: angle = M L / GJ.
+    """Twist of a boom by the moment of masses beside its axis: angle = M L / GJ.
+
+    M is the moment about the boom's axis, and L the boom's free length.
 
     Attributes:
         torsional_rigidity: Torsional rigidity GJ, N*m^2.
@@ -427,8 +431,9 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
 class Bearing:
     """The guide of a slide: two bearings along the axis, each with two pads that are springs across the axis.
 
-    Together the bearings have the stiffness 2k against a force across the axis, and k s^2 / 2 against a moment across
-    it. Their stiffness against a moment about the axis, k b^2 / 2, comes from the distance of the pads alone.
+    A bearing has the stiffness k. The bearings are a distance s apart, and the pads of a bearing a distance b. Against
+    a force across the axis, the two bearings together have the stiffness 2k. Against a moment across the axis it is
+    k s^2 / 2. Against a moment about the axis it is k b^2 / 2, which comes from the distance of the pads alone.
 
     Attributes:
         joint: Index (from 0) of the prismatic joint.
@@ -508,7 +513,8 @@ def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     """Return gravity's moment about the point (x, y), N*m: its components about the world's x and y axes.
 
     Args:
-        weight: The mass, kg, and this mass times the x and times the y of its centre in the world, kg*m.
+        weight: Three numbers (`Weight`): the mass, kg, the mass times the world's x of its centre, kg*m, and the mass
+            times the world's y of its centre, kg*m.
         x: World x of the point, m. Its height does not matter.
         y: World y of the point, m.
     """
@@ -517,10 +523,17 @@ def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def _swung(wx: Scalar, wy: Scalar, wz: Scalar, arm: Scalar, z: Scalars, moved: Scalars) -> tuple[Scalar, ...]:
-    """Return a frame's displacement, three components of position and three of rotation, by a shift and a small turn.
+    """Return a frame's displacement by a small turn and a shift: three components of position, three of rotation.
 
-    The shift is ``moved``, m. The turn is the rotation vector (wx, wy, wz), rad, about the point at -``arm`` m on the
-    frame's axis ``z``. All are in world axes.
+    All are in world axes, m and rad.
+
+    Args:
+        wx: First component of the turn's rotation vector, rad.
+        wy: Second component of the turn's rotation vector, rad.
+        wz: Third component of the turn's rotation vector, rad.
+        arm: Distance, m, from the point about which the frame turns to the frame's origin, along ``z``.
+        z: The frame's z axis, three components.
+        moved: The shift, three components, m.
     """
     zx, zy, zz = z
     across = (wy * zz - wz * zy, wz * zx - wx * zz, wx * zy - wy * zx)

@@ -86,7 +86,7 @@ class Arm:
 
         Args:
             geometry: The geometry for which something was made.
-            what: What was made, for the message: "the calibration belongs to arm 'ur5'".
+            what: Beginning of the message, which says what was made: "the calibration belongs to arm 'ur5'".
         """
         if geometry.fingerprint() != self.fingerprint():
             raise InputError(
@@ -175,8 +175,10 @@ def geometry_from_arrays(
 def _tree(named: Mapping[str, NDArray[Any]], links: int, which: str) -> LinkTree:
     """Return the saved `LinkTree` after checking it: each link's parent must come before the link.
 
-    ``named`` has the saved arrays by name, ``links`` is the number of links, and ``which`` names the geometry in error
-    messages.
+    Args:
+        named: The saved arrays by name.
+        links: Number of links.
+        which: Name of the geometry in error messages.
     """
     parts = tuple(str(name) for name in named["tree_names"])
     parent = tuple(map(int, finite(named, "tree", (links,), which)))
@@ -189,8 +191,10 @@ def _tree(named: Mapping[str, NDArray[Any]], links: int, which: str) -> LinkTree
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
     """Return the saved `Coupling` after checking its joints, ratios and link types.
 
-    ``named`` has the saved arrays by name, ``joints`` is the number of joints, and ``which`` names the geometry in
-    error messages.
+    Args:
+        named: The saved arrays by name.
+        joints: Number of joints.
+        which: Name of the geometry in error messages.
     """
     joint, ratio, slides = finite(named, "coupling", (3, named["coupling"].shape[-1]), which).tolist()
     if not set(joint) <= set(range(joints)) or ("tree" not in named and 0.0 in ratio) or not set(slides) <= {0.0, 1.0}:

@@ -160,7 +160,7 @@ SIDE = 2
 
 
 class Carried(NamedTuple):
-    """A child link and the names of the moving joints between it and its parent; no names if it is fixed to the parent.
+    """A child link, and the names of the moving joints between parent and child; no names if the child is fixed.
 
     ``only_named`` is True for a link that only marks a place (an MJCF site). Such a link is taken as the flange only if
     it has one of the names `FLANGES`.
@@ -325,7 +325,7 @@ class JointRow(NamedTuple):
     def links(self, drives: dict[str, Drive]) -> tuple[list[ChainJoint], Pose]:
         """Return the moving joints, one per link, and the tip's pose, with all commanded joints at zero.
 
-        The origins and axes of the joints are in world axes.
+        The origins and axes of the joints, and the tip's pose, are in the world frame.
 
         Args:
             drives: Commanded joints by name, changed in place. Commanded joints of this chain are added. Their limits
@@ -362,13 +362,16 @@ def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) 
 
 
 def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None, Array]:
-    """Return an arm's or a whole robot's geometry, the largest joint speeds ``(n,)``, rad/s or m/s, masses and pivots.
+    """Return the geometry of an arm or of a whole robot, with joint speeds, masses and pivots.
 
-    Masses and pivots are the attributes ``load`` and ``pivots`` of `Arm`. The chains of a whole robot share their first
-    joints. The robot's link table holds one branch after another.
+    The chains of a whole robot share their first joints. The robot's link table holds one branch after another.
 
     Args:
         rows: Chains of joints (`JointRow`): one for an arm; for a whole robot, one per part with a sensor or a target.
+
+    Returns:
+        Four values. The first is the geometry. The second has the largest joint speeds ``(n,)``, rad/s or m/s. The
+        third and the fourth are the attributes ``load`` and ``pivots`` of `Arm`.
 
     Raises:
         InputError: If no joint moves, if limits leave no motion, if two slides cancel each other, or if a chain
@@ -431,8 +434,12 @@ def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None,
 def _load(masses: Sequence[Mass], joints: Sequence[ChainJoint], zeros: Sequence[Pose]) -> Load | None:
     """Return the masses of the links; each body's mass is added to the last link in the table that carries the body.
 
-    Return None if no body has a mass, if a mass is unknown, or if all masses are equal (placeholders). ``joints`` has
-    one joint per link, in world axes, and ``zeros`` the pose of each link in the world frame, with joints at zero.
+    Return None if no body has a mass, if a mass is unknown, or if all masses are equal (placeholders).
+
+    Args:
+        masses: The masses of the bodies.
+        joints: One joint per link, in world axes.
+        zeros: Pose of each link in the world frame, with joints at zero.
     """
     places = {joint.name: i for i, joint in enumerate(joints) if joint.ratio}
     moments = np.zeros((len(joints), 4))
@@ -523,8 +530,8 @@ def _one_joint(link: Sequence[ChainJoint]) -> ChainJoint:
 def _in_order(links: list[ChainJoint], drives: Mapping[str, Drive]) -> tuple[str, ...]:
     """Return the names of the commanded joints ``drives`` in the order of their links in the table.
 
-    A commanded joint's link is the first that it moves with the ratio 1 and its own joint type, or else the first that
-    it moves. ``links`` has one joint per link.
+    The link of a commanded joint is the first link that the joint moves with the ratio 1 and with the joint's own type.
+    If there is no such link, it is the first link that the joint moves. ``links`` has one joint per link.
     """
 
     def place(name: str) -> int:

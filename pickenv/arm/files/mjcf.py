@@ -207,7 +207,8 @@ class MjcfValues:
             follows: Whether the joint follows another joint or is held, so that it needs no range of its own.
 
         Returns:
-            The joint as a `Drive`; its reference position (MJCF's ``ref``), rad or m; and whether the file limits it.
+            Three values. The first is the joint as a `Drive`. The second is the joint's reference position (MJCF's
+            ``ref``), rad or m. The third says whether the file limits the joint.
 
         Raises:
             InputError: If the joint is neither hinge nor slide, or its range is missing or empty.
@@ -465,7 +466,11 @@ def _joints(
 ) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
     """Return the joints along a chain of bodies, the tip's pose in the last joint's frame, and the driving joints.
 
-    ``chain`` has the keys in ``bodies`` of the bodies from the world to the tip.
+    Args:
+        chain: Keys in ``bodies`` of the bodies from the world to the tip.
+        bodies: All bodies and sites of the file, from `_bodies`.
+        root: The file's root element.
+        values: Settings of the file.
     """
     joints: dict[str, _Joint] = {}
     for joint in (joint for body in bodies.values() for joint in body.joints):
@@ -498,9 +503,16 @@ def _joints(
 
 
 def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> dict[str, tuple[str, float, float]]:
-    """Return for each joint with an equality constraint the joint (or the world) that it follows, ratio and offset.
+    """Return what each joint with an active equality constraint follows, by the joint's name.
 
-    The displacement of the joint is the offset, rad or m, plus the ratio times the followed joint's displacement.
+    Args:
+        root: The file's root element.
+        values: Settings of the file; not used.
+        joints: All joints of the file by name.
+
+    Returns:
+        Three values for each joint: the name of the followed joint (or of the world), a ratio, and an offset, rad or m.
+        The joint's displacement is the offset plus the ratio times the followed joint's displacement.
     """
     ties: dict[str, tuple[str, float, float]] = {}
     for tie in root.iterfind("equality/joint"):
@@ -523,9 +535,12 @@ def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> di
 
 
 def _refuse_loops(root: Element, bodies: Mapping[str, _Body], moved: set[str]) -> None:
-    """Raise an error if a constraint closes a loop through one of the bodies ``moved``.
+    """Raise an error if a constraint closes a loop through a body of the chain.
 
-    ``moved`` has the keys in ``bodies`` of the bodies that the joints of the chain move.
+    Args:
+        root: The file's root element.
+        bodies: All bodies and sites of the file, from `_bodies`.
+        moved: Keys in ``bodies`` of the bodies that the joints of the chain move.
     """
     for tie in (*root.iterfind("equality/connect"), *root.iterfind("equality/weld")):
         ends = [f"site {tie.get(f'site{i}')}" if tie.get("site1") else tie.get(f"body{i}") for i in (1, 2)]

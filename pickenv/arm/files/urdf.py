@@ -116,10 +116,16 @@ def _moving_link(robot: Element, name: str) -> Element:
 def _joint(
     robot: Element, name: str, slides: bool | None, parent: str, child: str, origin: Pose, limits: Sequence[float] = ()
 ) -> Element:
-    """Add a joint between the links ``parent`` and ``child`` to a robot, along or about z of its own frame.
+    """Add a joint to a robot, and return the joint's element. The joint's axis is z of the joint's own frame.
 
-    ``origin`` is the pose of this frame in the parent link. The joint slides if ``slides`` is true, turns if false, and
-    is fixed for None. ``limits`` has its lower limit, upper limit and speed, rad and rad/s or m and m/s.
+    Args:
+        robot: The robot's element.
+        name: Name of the joint.
+        slides: Whether the joint slides (else it turns); None for a fixed joint.
+        parent: Name of the parent link.
+        child: Name of the child link.
+        origin: Pose of the joint's frame in the parent link's frame.
+        limits: Lower limit, upper limit and speed, rad and rad/s or m and m/s; empty for a fixed joint.
     """
     kind = "fixed" if slides is None else "prismatic" if slides else "revolute"
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)

@@ -42,9 +42,10 @@ def exponential(m: ModuleType, value: Scalar) -> Scalar:
 
 
 def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """Return ``value`` clipped to ``low`` and ``high``; ``m`` is the namespace: ``math``, ``numpy`` or ``torch``.
+    """Return ``value`` clipped to the range from ``low`` to ``high``.
 
-    The two limits are plain floats, or both of the type of ``value``.
+    The two limits are plain floats, or both are of the type of ``value``. ``m`` is the namespace: ``math``, ``numpy``
+    or ``torch``.
     """
     if m is math:
         return low if value < low else high if value > high else value
@@ -121,11 +122,11 @@ angles come from a file's rounding or a part's tolerance. The common normal of s
 if a file rounds half a turn to 3.1416."""
 
 SKEW = 0.7
-"""The angle of two axes goes into beta too if their cross product is shorter than this and they are far apart.
-`TILT_LEVER` defines far apart. A small tilt of one of such axes moves both feet of the common normal far along the
-axes: by the normal's length times the tilt / sine^2, with the sine of the angle between the axes. With beta, the link
-runs straight across to the other axis instead. Then a displacement of that axis only turns the link, by the
-displacement / distance."""
+"""If the cross product of two axes is shorter than this, and the axes are far apart (`TILT_LEVER`), their angle goes
+into beta too. Without beta, a small tilt of one axis would move both feet of the common normal far along the axes. They
+would move by the normal's length times the tilt / sine^2; the sine is that angle's sine. With beta, the link runs
+straight across to the other axis. Then a displacement of the other axis only turns the link, by the displacement /
+distance."""
 
 TILT_LEVER = 0.15
 """Two axes are far apart if their distance exceeds this length, m, times the sine of the angle between them. The
@@ -187,11 +188,17 @@ def geometry_from_axes(
 
 
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
-    """Return origin (3,), m, and x direction (3,) of the frame on a joint's axis, from the common normal with the next.
+    """Return the frame on a joint's axis: its origin (3,), m, and its x direction (3,).
 
-    The axis has the direction ``z`` and contains the point ``near``; the next axis has ``next_z`` and ``point``. For
-    parallel axes, and for axes whose angle goes into beta, the origin is ``near``. If the axes coincide, x is as near
-    to the direction ``previous`` as possible.
+    They come from the common normal of this axis and the next axis. For parallel axes, and for axes whose angle goes
+    into beta, the origin is ``near``.
+
+    Args:
+        near: A point on the joint's axis (3,), m.
+        z: Direction of the joint's axis, a unit vector (3,).
+        point: A point on the next axis (3,), m.
+        next_z: Direction of the next axis, a unit vector (3,).
+        previous: If the two axes coincide, x is as near to this direction (3,) as possible.
     """
     cross = np.cross(z, next_z)
     if (sine := float(np.linalg.norm(cross))) < PARALLEL:  # any normal will do: take the one at ``near``
@@ -330,7 +337,7 @@ def _from_the_sensor(chain: Chain, links: list[Frame], frame: Frame) -> Frame:
 
 
 def _from_the_base(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = None) -> list[Frame]:
-    """Compute the frames of base and links from the chain's base, whatever link has the sensor.
+    """Compute the frames of base and links, with frame 0 at the chain's base even if a link carries the sensor.
 
     `frames` explains the arguments.
     """

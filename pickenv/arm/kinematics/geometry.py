@@ -203,7 +203,7 @@ class Geometry:
 
     @cached_property
     def senses(self) -> Array:
-        """Sign of each link's effect on the tool pose (L,): 1 if the link carries the target, -1 for the sensor.
+        """Sign of each link's effect on the tool pose (L,): 1 if the link carries the target, -1 if the sensor.
 
         The tool pose is the target's pose relative to the sensor. A link that carries both or neither has the sign 0,
         because its motion does not change this pose.
@@ -246,9 +246,9 @@ class Geometry:
     def displaced(self, delta: ArrayLike) -> Geometry:
         """Return this geometry with ``delta`` (5L + 12,) added to its parameters, in the order of `parameter_names`.
 
-        Base and tool are moved on the manifold. Position changes are added. Rotations are multiplied from the left by
-        the rotation of the given rotation vector. The vector is in world axes for the base, in the last link's axes for
-        the tool.
+        Base and tool are moved on the manifold. Their positions are changed by addition. Their rotations are multiplied
+        from the left by the rotation matrix of a rotation vector in ``delta``. This vector is in world axes for the
+        base, in the last link's axes for the tool.
 
         Raises:
             ValueError: If ``delta`` has another shape.

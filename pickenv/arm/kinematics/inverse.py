@@ -151,9 +151,13 @@ def _cost(solution: InverseSolution) -> Array:
 
 
 def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> Array:
-    """Return the joints ``(targets * count, n)`` of the ``count`` sample poses (of `POOL`) nearest to each target.
+    """Find the sample poses nearest to each target, and return their joints ``(targets * count, n)``, rad or m.
 
-    ``position`` ``(targets, 3)``, m, and ``rotation`` ``(targets, 3, 3)`` are the target poses.
+    Args:
+        geometry: The arm.
+        position: Positions of the targets ``(targets, 3)``, m.
+        rotation: Attitudes of the targets ``(targets, 3, 3)``.
+        count: Number of sample poses for each target, among `POOL`.
     """
     joints = halton_joints(geometry, POOL)
     pool = forward(geometry, joints)
@@ -169,8 +173,13 @@ def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> A
 def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> Array:
     """Return joints ``(K, n)`` after `DAMPED_STEPS` damped steps from ``q`` towards K goals, within the joint limits.
 
-    A step that does not reduce the error is rejected, and the damping increased. ``q`` is ``(K, n)``. ``parts`` selects
-    the components of the pose error to reduce: 0 to 2 position, 3 to 5 attitude.
+    A step that does not reduce the error is rejected, and the damping increased.
+
+    Args:
+        geometry: The arm.
+        goals: The K goals.
+        q: Joints to start from ``(K, n)``, rad or m.
+        parts: Components of the pose error to reduce: 0 to 2 position, 3 to 5 attitude.
     """
     damping = np.full(len(q), 1e-3)
     pose, jacobian = task_space.pose_and_jacobian(geometry, q)
@@ -196,9 +205,15 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> 
 def _descend(geometry: Geometry, goals: Pose, q: Array, tolerance: float, max_iterations: int, parts: slice) -> Array:
     """Return joints ``(K, n)`` after Gauss-Newton steps from ``q`` towards K goals, with a pull in the null space.
 
-    The pull is towards mid-range. Joints with negligible steps do not change any more. ``tolerance`` is the relative
-    singular value below which a direction of tool motion is not corrected. ``parts`` selects the components of the pose
-    error to reduce: 0 to 2 position, 3 to 5 attitude.
+    The pull is towards mid-range. Once all joints of a goal make negligible steps, they do not change any more.
+
+    Args:
+        geometry: The arm.
+        goals: The K goals.
+        q: Joints to start from ``(K, n)``, rad or m.
+        tolerance: Relative singular value below which a direction of tool motion is not corrected.
+        max_iterations: Largest number of steps.
+        parts: Components of the pose error to reduce: 0 to 2 position, 3 to 5 attitude.
     """
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     q = q.copy()
@@ -223,10 +238,16 @@ def _descend(geometry: Geometry, goals: Pose, q: Array, tolerance: float, max_it
 
 
 def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_tolerance: float) -> Array:
-    """Return one Gauss-Newton step ``(..., n)`` plus the null-space motion along ``pull``.
+    """Return one Gauss-Newton step plus the null-space motion along ``pull``: ``(..., n)``, rad or m.
 
-    ``error`` is the pose error to remove, ``pull`` the gradient towards mid-range ``(..., n)``, and ``half`` half the
-    range of each joint ``(n,)``.
+    If a joint would exceed `STEP_LIMIT`, the whole step is shortened.
+
+    Args:
+        jacobian: Jacobians ``(..., k, n)`` of the k components of the pose error.
+        error: Pose errors to remove ``(..., k)``.
+        pull: Gradient towards mid-range ``(..., n)``.
+        half: Half the range of each joint ``(n,)``, rad or m.
+        rank_tolerance: Relative singular value below which a direction of tool motion is not corrected.
     """
     back = task_space.truncated_inverse(jacobian, rank_tolerance)
     step = np.einsum("...ij,...j->...i", back, error)
@@ -336,9 +357,10 @@ def halton_joints(geometry: Geometry, count: int) -> Array:
 
 
 def _largest_filled(filled: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:
-    """Return the lower corner's indices (from 0) and the edge, in grid steps, of the largest cube of filled points.
+    """Find the largest cube of filled grid points; return the indices (from 0) of its lower corner, and its edge.
 
-    ``filled`` says for each point of a three-dimensional grid whether it is filled (reached).
+    The edge is in grid steps. ``filled`` says for each point of a three-dimensional grid whether the point is filled
+    (reached).
     """
     size, grown = -1, filled
     while grown.any():

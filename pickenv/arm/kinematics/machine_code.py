@@ -129,10 +129,12 @@ class Trace:
 
 
 def _binary(name: str, kind: str | None = None, swapped: bool = False) -> Callable[[Traced, Any], Any]:
-    """Return an operator method for `Traced`, which records the operation ``name``, such as "add".
+    """Return a method of `Traced` for an operator; the method records an operation.
 
-    ``kind`` is the result's type if it differs from the operands' type. If ``swapped``, the operands change places, as
-    ``__radd__`` needs.
+    Args:
+        name: Name of the operation, such as "add".
+        kind: Type of the result; None for the operands' type.
+        swapped: Whether the operands change places, as ``__radd__`` needs.
     """
 
     def operator(self: Traced, other: Any) -> Any:
@@ -191,7 +193,7 @@ PI, PI_RESIDUE = float.fromhex("0x1.921fb544p+1"), float.fromhex("0x1.0b4611a626
 """Pi in two parts: its first 33 bits, whose products with integers are exact, and the remainder."""
 
 TERMS = 11
-"""Number of terms of each series; at pi/2, the first omitted term is below half a rounding error of the largest."""
+"""Number of terms of each series. At pi/2, the first omitted term is below half a rounding error of the largest one."""
 
 INTRINSICS = {"round": "rint", "abs": "fabs"} | {name: name for name in ("sqrt", "atan2", "log", "log10", "exp")}
 """LLVM's name of each function, by NumPy's name."""
@@ -210,9 +212,10 @@ def cosine(m: Any, angle: Scalar) -> Scalar:
 
 
 def _reduced(m: Any, angle: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the sign of sine and cosine due to an angle's whole half turns, and the angle without the half turns, rad.
+    """Return a sign, 1 or -1, and an angle without its whole half turns, rad.
 
-    ``m`` is the namespace, ``numpy`` or `SYMBOLS`.
+    Sine and cosine of ``angle`` are the sign times the sine and the cosine of the returned angle. ``m`` is the
+    namespace, ``numpy`` or `SYMBOLS`.
     """
     halves = m.round(angle * (1.0 / math.pi))
     odd = halves - 2.0 * m.round(0.5 * halves)
@@ -334,7 +337,7 @@ class Compiled:
         self._between: dict[str, Array] = {}
 
     def bound(self, arrays: Mapping[str, NDArray[Any]], count: int) -> Callable[[], None]:
-        """Return a function without arguments that computes the outputs from the inputs, in these arrays at each call.
+        """Return a function without arguments; each call of it computes the outputs in ``arrays`` from the inputs.
 
         Args:
             arrays: Input and output arrays by name, ``(rows, count)``, C-contiguous; the outputs are overwritten.
@@ -397,7 +400,11 @@ DECLARED = tuple(_declared(name, lanes) for name in INTRINSICS.values() for lane
 def _loop(operations: Sequence[Operation], name: str, goals: Goals, arrays: Sequence[str]) -> str:
     """Return LLVM's code of a function with two loops: over groups of `LANES` poses, then over the remaining poses.
 
-    ``name`` is the function's name. ``goals`` are the outputs, and ``arrays`` the names of all arrays, in order.
+    Args:
+        operations: The operations in the loops.
+        name: Name of the function.
+        goals: The outputs that the loops write.
+        arrays: Names of all arrays, in the order of the function's pointers to them.
     """
     wide, narrow = ("\n".join(_Body(operations, goals, arrays, lanes).lines) for lanes in (LANES, 1))
     return f"""

@@ -110,9 +110,10 @@ def _turn(reference: Scalars, actual: Scalars) -> tuple[tuple[Scalar, ...], tupl
 
 
 def small_rotation(m: ModuleType, reference: Scalars, actual: Scalars) -> tuple[Scalar, ...]:
-    """Return the same vector as `rotation_between`, from the same arguments, but faster for angles up to six degrees.
+    """Return the vector of `rotation_between`, computed faster if all angles are below six degrees.
 
-    It is computed by a series of the arc sine.
+    Small angles are computed by a series of the arc sine, large ones by `rotation_between`, which explains the
+    arguments.
     """
     sines, (xx, yy, zz) = _turn(reference, actual)
     sx, sy, sz = sines
@@ -380,9 +381,9 @@ def task_directions(
         weight: Length, m, that counts as much as a radian.
 
     Returns:
-        Orthonormal columns ``(..., 6, 6)`` by falling singular value (position in m, then the rotation vector in rad
-        times ``weight``, world axes), and the task rank ``(...)``: the number of directions in which joint motion moves
-        the tool.
+        Two arrays. The first has the directions as orthonormal columns ``(..., 6, 6)`` by falling singular value. A
+        column is a position in m, then a rotation vector in rad times ``weight``, in world axes. The second is the task
+        rank ``(...)``: the number of directions in which joint motion moves the tool.
     """
     u, s, _ = np.linalg.svd(joint_jacobian(geometry, q) * np.repeat([1.0, weight], 3)[:, None])
     return u, np.sum(s > tolerance * s[..., :1], axis=-1)
@@ -393,8 +394,8 @@ def noncompensable_error(
 ) -> Array:
     """Compute the part ``(..., 6)`` of a pose error that no small joint motion removes.
 
-    This part remains after the joint motion that makes the weighted error smallest. For the picking arm
-    this part is a rotation about z1 x z5, because J1, J2 and J4 are parallel, and so are J5 and J6.
+    This part remains after the joint motion that makes the weighted error smallest. For the picking arm this part is a
+    rotation about z1 x z5, because J1, J2 and J4 are parallel, and so are J5 and J6.
 
     Args:
         geometry: The arm.

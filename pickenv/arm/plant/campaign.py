@@ -173,7 +173,7 @@ class Instrument:
     noise: MeasurementNoise | None = None
 
     def noise_on(self, plant: Plant) -> MeasurementNoise | None:
-        """Return the instrument's ``noise``; if it is None, the plant's effect "measurement_noise", or None."""
+        """Return the instrument's ``noise``, or else the plant's effect "measurement_noise"; None without either."""
         return self.noise or cast(MeasurementNoise | None, plant.effect("measurement_noise"))
 
 

@@ -36,10 +36,11 @@ VARIATION_POSES = (0, 1, 3)
 """Indices of the poses at which vAP is measured: P1, P2 and P4."""
 
 FEWEST_CYCLES = 3
-"""Least number of measurements for RP: two have the same distance from their mean, whose deviation is always zero."""
+"""Least number of measurements for RP. Two measurements lie equally far from their mean, so their distances do not
+scatter."""
 
 NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / math.pi)
-"""RP_l of normal noise with standard deviation 1 in each of three axes, whose norm has a Maxwell distribution."""
+"""RP_l of normal noise with standard deviation 1 in each of three axes. The noise's norm has a Maxwell distribution."""
 
 
 @dataclass(frozen=True)
@@ -219,8 +220,14 @@ def _joints_for(plant: Plant, poses: Pose, start: Array | None, free: bool) -> A
 def _approaches(plant: Plant, poses: Pose, targets: Array, length: float, free: bool) -> Array:
     """Return the joints ``(3 poses, 3 directions, n)`` from which P1, P2 and P4 are approached along x, y and z.
 
-    The tool then starts ``length`` m from the pose, on the side of the cube's centre. For P1, which is the centre, it
-    starts at +x, +y and +z. ``targets`` are the joints at ``poses`` P1 to P5; ``free`` ignores the attitude.
+    An approach starts on the side of the cube's centre. For P1, which is the centre, it starts at +x, +y or +z.
+
+    Args:
+        plant: The simulated true arm.
+        poses: The poses P1 to P5.
+        targets: Joints at these poses ``(5, n)``, rad or m.
+        length: Distance between the start of an approach and the pose, m.
+        free: Whether to ignore the attitude.
     """
     some = list(VARIATION_POSES)
     inwards = np.where(poses.position[some] - poses.position[0] > 0, -1.0, 1.0)
@@ -254,9 +261,10 @@ def _performance(
     mounting, noise = rng.spawn(1)[0].normal(size=3).tolist(), instrument.noise_on(plant)
 
     def measured(state: PlantState, stops: Sequence[tuple[Array, int | None]]) -> tuple[PlantState, Array]:
-        """Move from P1 through stops; return the state, and errors ``(..., 6)``, m and rad, at some of the stops.
+        """Move from P1 through stops; return the state at the end, and the errors at the measured stops.
 
-        A stop is a joint command and the index, from 0, of the pose to measure there; None to measure nothing.
+        A stop is a joint command and the index, from 0, of the pose to measure there; None to measure nothing. The
+        errors are ``(measured stops, 6)``, m and rad.
         """
         errors, start = [], home
         for target, i in stops:
@@ -344,8 +352,8 @@ def pose_performance(name: str, errors: Array) -> dict[str, Any]:
 def pose_drift(errors: Array) -> dict[str, Any] | None:
     """Compute the drift of one pose between the first and the last third of its cycles.
 
-    Confidence intervals are of 95 %, over pairs of a cycle of the first third and one of the last third. They are None
-    with fewer than ten pairs.
+    Confidence intervals are of 95 %, over pairs of cycles. Each pair has a cycle of the first third and a cycle of the
+    last third. The intervals are None with fewer than ten pairs.
 
     Args:
         errors: Errors of the cycles in their order ``(cycles, 3 or 6)``, m and rad.
@@ -391,9 +399,10 @@ def _size_of_mean(vectors: Array) -> float:
 
 
 def _interval_of_scatter(values: Array, scatter: Callable[[Array], float]) -> Ends | None:
-    """Return the 95 % interval of a measure of the scatter of values, by the measure's logarithm.
+    """Return the 95 % interval of ``scatter(values)``, a measure of scatter such as a standard deviation.
 
-    Return None with fewer than `CYCLES` values, or if the values hardly differ. ``scatter`` computes the measure.
+    The interval is computed for the measure's logarithm. It is None with fewer than `CYCLES` values, or if the values
+    hardly differ.
     """
 
     def logarithm(some: Array) -> float:

@@ -84,7 +84,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The posterior distribution of a calibrated arm over P = 5L + 12 + k parameters.
+    """The posterior distribution of a calibrated arm with L links over P = 5L + 12 + k parameters.
 
     The parameters are the geometry's parameters, then the k coefficients of `Layout`. A sample is the identified value,
     plus ``factor`` times p standard normal numbers, plus ``traces`` times d deviations within tolerances.
@@ -99,8 +99,8 @@ class Posterior:
         traces: Change of all P parameters per unit of each unidentified parameter ``(P, d)``, such that the tool keeps
             the measured poses.
         field: The residual field with its mean weights, or None.
-        field_factor: Change of the weights of each output's K smooth waves, cosines then sines, per standard normal
-            number ``(O, 2 K, 2 K)``.
+        field_factor: Change of the field's weights per standard normal number ``(O, 2 K, 2 K)``, for O outputs. Here K
+            counts only the smooth waves of an output. Weights of cosines come first, then weights of sines.
         rough: Standard deviation of the sum of each output's rough waves ``(O,)``, m and rad.
         notes: Sentences that say which causes the data can distinguish, and how.
     """
@@ -141,8 +141,8 @@ class Plant:
         effects: The effects, in the order in which they act, from the motors to the tool.
         posterior: Posterior distribution of the calibration from which the plant was made, else None.
         unmeasured: Groups of the effects' constants that were never measured.
-        ready: A geometry and its `Chain`, which `plant_batch.plants_on` gives; None to compute the chain. The chain is
-            ignored if this geometry is not the plant's.
+        ready: A geometry and its `Chain`, from `plants_on`; None to compute the chain. The chain is ignored if this
+            geometry is not the plant's.
 
     Raises:
         ValueError: If two effects have one name.
@@ -201,7 +201,7 @@ class Plant:
 
     @cached_property
     def _steps(self) -> tuple[list[_Step], list[_Step], list[_Step]]:
-        """The effects that move the arm, in three lists about the last effect that has a memory.
+        """The effects that move the arm, in three lists. The last effect that has a memory separates them.
 
         The first list has the effects that act before this effect. The second list has this effect alone. The third
         list has the effects that act after it. If no effect has a memory, all effects are in the third list.
@@ -216,9 +216,9 @@ class Plant:
 
     @cached_property
     def _motors(self) -> list[tuple[Effect, int]]:
-        """The effects on the motors, in the reverse of the order of `effects`, each with the index of its memory.
+        """The effects on the motors, each with the index (from 0) of its memory in a `PlantState`.
 
-        So the encoder counts, the first of `effects`, end the list. An index counts, from 0, the effects with a memory.
+        The order is the reverse of `effects`. So the effect of the encoder counts, which is first there, is last here.
         """
         motors = [effect for effect in self.effects if effect.place < DRIVE]
         return [(effect, sum(before.remembers for before in motors[:i])) for i, effect in enumerate(motors)][::-1]
@@ -279,8 +279,12 @@ class Plant:
     ) -> tuple[PlantState, Passage]:
         """Return the effects' new memories, and the command's passage just before the last effect with a memory acts.
 
-        ``how`` is the index of the method that makes the memories: BEGIN, REST or CARRY. CARRY gives the memories
-        ``dt`` seconds after ``state``.
+        Args:
+            m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+            q: Joint command, n components, rad or m.
+            how: Index of the method that makes the memories: BEGIN, REST or CARRY.
+            state: The memories before; only used by CARRY.
+            dt: Time since ``state``, s; only used by CARRY.
         """
         at = Passage(m, self.chain, self.load, q)
         memories: list[Components] = []
@@ -296,9 +300,10 @@ class Plant:
         return tuple(memories), at
 
     def _ended(self, state: PlantState, at: Passage) -> Frame:
-        """Return the true tool frame, in world axes, after the last effects have acted on the passage from `_passage`.
+        """Complete the passage ``at`` from `_passage`, and return the true tool frame in world axes.
 
-        These are the last effect with a memory, which is in ``state``, and all later effects.
+        The effects that still have to act are the last effect with a memory, and all effects after it. ``state`` has
+        the memory.
         """
         _, last, after = self._steps
         for _, act in last:

@@ -170,9 +170,12 @@ def plant_times(plant: Plant, times: Mapping[str, float]) -> Plant:
 
 
 def _multiplied(thing: Any, path: str, factor: float) -> Any:
-    """Return a dataclass object, or a tuple of them, with the number or numbers at ``path`` multiplied by ``factor``.
+    """Return a copy of ``thing`` with the number or numbers at ``path`` multiplied by ``factor``.
 
-    ``path`` consists of attribute names with dots between.
+    Args:
+        thing: A dataclass object, or a tuple of such objects.
+        path: Attribute names with dots between.
+        factor: The factor.
     """
     if isinstance(thing, tuple):
         return tuple(_multiplied(part, path, factor) for part in thing)
@@ -215,8 +218,8 @@ SAMPLES = 2**10
 """Number of poses from which a joint's largest gravity torque is computed."""
 
 LEAST_TORQUE = 0.01
-"""Lower bound of the largest torque for computing a joint's stiffness and preload. It is a share of the largest torque
-of all joints of the same type (revolute or prismatic)."""
+"""A joint's stiffness and preload are computed from the joint's largest gravity torque. This is the lower bound of that
+torque, as a share of the largest torque of all joints of the same type (revolute or prismatic)."""
 
 
 def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:

@@ -1,12 +1,14 @@
 """Populations of arms: random draws of true arms, by a tolerance class or from a calibration's posterior (twins).
 
 A tolerance class says how widely arms of one design differ. Lengths follow ISO 286-1: IT = k (0.45 D^(1/3) + 0.001 D)
-um up to 500 mm, k (0.004 D + 2.1) um above, with D in mm. Sizes of effects are log-normal about the plant's own.
+um up to 500 mm, k (0.004 D + 2.1) um above, with D in mm and k from `GRADES`. Sizes of effects are log-normal about the
+plant's own sizes.
 
 A twin is the identified arm as a plant, in a file (.npz with a checksum). The identified base and tool are transformed
-from the instrument's frame into the arm's own frame: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own, with the
-nominal arm's B_own and T_own. The arm's errors relative to its nominal geometry then equal the errors that
-were measured relative to the aligned nominal geometry. Objects have m, rad, K, s.
+from the instrument's frame into the arm's own frame. The base B becomes B_own B_aligned^-1 B, and the tool T becomes
+T T_aligned^-1 T_own. B_own and T_own are the nominal arm's, B_aligned and T_aligned the same in the instrument's frame.
+The arm's errors relative to its nominal geometry then equal the errors that were measured relative to the aligned
+nominal geometry. Objects have m, rad, K, s.
 """
 
 from __future__ import annotations
@@ -70,8 +72,8 @@ class SizesTable:
         sliding_sag: Deflection of a slide under the arm's own weight in the pose of its largest force, m.
         turning_gap: Backlash of a revolute joint, rad.
         sliding_gap: Backlash of a slide, m.
-        preload_share: Gravity torque, as a share of the joint's largest, above which the joint always rests on the
-            same side of its backlash.
+        preload_share: Gravity torque above which a joint always rests on the same side of its backlash. It is a share
+            of the joint's largest gravity torque.
         expansion: Coefficient of linear expansion of the links, 1/K.
         warm_up: Time constant of the warm-up, s.
     """
@@ -139,12 +141,13 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
     """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
 
     Link parameters are drawn about the nominal geometry, effect sizes about the sizes in ``plant``. Arm i has its own
-    random stream, child i (from 0) of ``rng``. The arm therefore does not depend on ``count``. Nor do the
-    arm's random numbers depend on which effects are on: effects with random numbers of their own take them at the end
-    of the stream.
+    random stream, child i (from 0) of ``rng``. The arm therefore does not depend on ``count``. The arm's random numbers
+    are the same whatever effects are on. For this, effects with random numbers of their own take them at the end of the
+    stream.
 
     If the plant was made from a calibration, the arms are drawn from the calibration's posterior distribution. The
-    parameters that its data do not identify are drawn within their tolerances about the identified values.
+    parameters that the calibration's data do not identify are drawn within their tolerances about the identified
+    values.
 
     Args:
         plant: The design (a simulated true arm), or the twin of a calibrated arm; a single arm.
@@ -210,7 +213,7 @@ def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
 
 
 def random_columns(plant: Plant) -> dict[str, range]:
-    """Return, by the name of each random quantity, its columns (from 0) in the uniform random numbers of `plants_from`.
+    """Return which columns of the random numbers of `plants_from` determine which quantity: columns, from 0, by name.
 
     Most quantities have the same columns whatever effects the plant has. Quantities whose number of columns depends on
     the effects have the last columns.
@@ -314,7 +317,7 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
 
 
 def _weights(posterior: Posterior, field: ResidualField, rng: np.random.Generator) -> Array:
-    """Return a random deviation of the weights of the field's waves ``(O, 2, K)`` from their mean, m and rad.
+    """Draw how far the weights of the field's waves deviate from their mean: ``(O, 2, K)``, m and rad.
 
     There are O outputs with K waves each; weights of cosines come first, then weights of sines.
     """
@@ -327,9 +330,13 @@ def _weights(posterior: Posterior, field: ResidualField, rng: np.random.Generato
 
 
 def _carried(arm: Arm, posterior: Posterior, geometries: Sequence[Geometry]) -> Geometry:
-    """Transform the base and tool of geometries into the arm's own frame, and return them as one geometry.
+    """Transform the base and tool of geometries into the arm's own frame, and return the geometries as one.
 
-    Drawn geometries become arrays with one entry per arm. The identified one alone keeps plain numbers.
+    Args:
+        arm: The arm with its nominal geometry.
+        posterior: Posterior distribution of the calibration.
+        geometries: Drawn geometries, which become arrays with one entry per arm; or the identified geometry alone,
+            which keeps plain numbers.
     """
     base, tool = posterior.aligned
     nominal = arm.nominal
@@ -351,9 +358,12 @@ def _together(poses: Sequence[Pose]) -> Pose:
 
 
 def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect]:
-    """Return the effects that a calibration's coefficients, of one arm ``(k,)`` or of many arms ``(N, k)``, describe.
+    """Return the effects that a calibration's coefficients describe.
 
-    `Layout` gives the meaning of the coefficients.
+    Args:
+        arm: The arm with its nominal geometry.
+        posterior: Posterior distribution of the calibration; its `Layout` gives the meaning of the coefficients.
+        coefficients: The coefficients ``(k,)`` of one arm, or ``(N, k)`` of N arms.
     """
     layout, columns = posterior.layout, [_scalar(column) for column in np.moveaxis(coefficients, -1, 0)]
     waves, moments = columns[: layout.sizes[0]], columns[layout.sizes[0] :]

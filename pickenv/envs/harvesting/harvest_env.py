@@ -76,7 +76,7 @@ class HarvestEnv(DrawnEnv):
     camera measures it again where it then hangs. The same leaves hide it, so the error is the same.
     `reset(options=...)` takes `"fruit"`, positions (fruit, 3) in m in the base frame, and `"start_joints"` of the whole
     machine (rad and m). The cameras look at the middle of given fruit. Fruit is in reach if a slave reaches it from the
-    pick point, whatever the start joints.
+    pick point; the start joints do not matter.
 
     ## Episode End
 

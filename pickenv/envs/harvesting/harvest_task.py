@@ -82,8 +82,9 @@ def drawn_zone(
             middle of given fruit.
 
     Returns:
-        The positions of the fruit ``(fruit, 3)``, m, its diameters, m, and how the cameras see it. Then the master's
-        joints at the pick point ``(3,)``, and flags of the located fruit that some arm reaches from this point.
+        Five values. The first has the positions of the fruit ``(fruit, 3)``, m, the second its diameters, m. The third
+        says how the cameras see the fruit. The fourth has the master's joints at the pick point ``(3,)``. The fifth has
+        flags of the located fruit that some arm reaches from this point.
 
     Raises:
         InputError: If the cameras find no fruit in reach in `DRAWS` draws.
@@ -425,7 +426,7 @@ def step(
 
 
 def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.int64], Array]:
-    """Stop every slave arm whose move would bring it too near another one; change ``target`` in place.
+    """Stop every slave arm that would come too near another slave arm; change ``target`` in place.
 
     Args:
         task: The task.
@@ -507,10 +508,13 @@ def attempts(
 
 
 def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the indices (from 0) of the cups that try a fruit, and of the fruit that each tries, (picks,) each.
+    """Choose which cups try which fruit: each cup the nearest fruit that no cup with a smaller index tries.
 
-    ``lateral`` (arms, fruit) has the horizontal distances of fruit from cups, m, and infinity where a cup cannot try a
-    fruit. A cup tries the nearest fruit that no cup with a smaller index tries.
+    ``lateral`` (arms, fruit) has the horizontal distance of each fruit from each cup, m. It is infinite if the cup
+    cannot try the fruit.
+
+    Returns:
+        The indices (from 0) of the cups, and the indices of their fruit, (picks,) each.
     """
     lateral, pairs = lateral.copy(), []
     for arm in range(len(lateral)):

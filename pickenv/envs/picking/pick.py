@@ -25,12 +25,12 @@ class PickEnv(ArmEnv):
     ## Description
 
     A six-joint picking arm (Qiao 2026) stands in front of a section of canopy, 0.9 m wide and 0.8 m high, that holds
-    some ten fruit. The environment chooses the present fruit, which is to be picked next, among those that the camera
-    found within reach and that were not tried yet. By default it is the nearest to the believed tool (see `order`).
-    Each fruit can be tried once. The policy commands the *nominal* arm, that is the model that its controller believes
-    in. But the *true* arm moves. It also vibrates after every move, so that haste costs accuracy. The gripper takes a
-    fruit if the true tool is near enough to it. A failed grasp pushes neighbouring fruit aside. So does a tool that
-    touches fruit on its way. The pushed fruit swings for a while.
+    some ten fruit. The environment chooses the present fruit, which is to be picked next, among the fruit that the
+    camera found within reach and that was not tried yet. By default it is the fruit nearest to the believed tool (see
+    `order`). Each fruit can be tried once. The policy commands the *nominal* arm, that is the model that its controller
+    believes in. But the *true* arm moves. It also vibrates after every move, so that haste costs accuracy. The gripper
+    takes a fruit if the true tool is near enough to it. A failed grasp pushes neighbouring fruit aside. A touch by the
+    tool on its way pushes fruit aside too. The pushed fruit swings for a while.
 
     ## Action Space
 

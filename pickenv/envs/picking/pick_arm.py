@@ -94,8 +94,8 @@ def act_arm(x: Executor, task: Task, state: ArmState, action: Scalars) -> tuple[
     An action has one share of the largest increment (-1 to 1) per joint, then the gripper's command.
 
     Returns:
-        The state with its new target, the gripper's command, whether the target moved, and the length of the period
-        (s).
+        Four values: the state with its new target, the gripper's command, whether the target moved, and the length of
+        the period, s.
     """
     setting, values = task.situation, state.drawn
     (*moves, gripper), sent = situation.late(x, setting, "delay", values, state.sent, action)

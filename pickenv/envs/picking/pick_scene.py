@@ -110,9 +110,9 @@ def contact(station: trees.Station, positions: Array, diameters: Array, point: A
         axis: Unit vector in which the tool points, shape (..., 3).
 
     Returns:
-        Four arrays. The first is the vector from the tool's axis to each fruit, m, (..., n, 3). The next three,
-        (..., n) each, are the length of that vector, m, how far the tool is inside the fruit, m, and whether the tool
-        touches the fruit.
+        Four arrays. The first has the vector from the tool's axis to each fruit, m, (..., n, 3). The others have the
+        shape (..., n). The second has the length of this vector, m. The third says how far the tool is inside the
+        fruit, m. The fourth says whether the tool touches the fruit.
     """
     away = positions - point[..., None, :]
     along = _dot(away, axis[..., None, :])
@@ -207,8 +207,9 @@ class PickScene:
     def following(self, tool: ArrayLike) -> int | None:
         """Return the index (from 0) of the fruit to pick next, or None if no fruit can still be tried.
 
-        ``tool`` is the position of the believed tool (3,), m. If the order in `ORDERS` is None, the fruit nearest to
-        the believed tool is next. If it is a vector (base frame), the fruit with the smallest coordinate along it is.
+        ``tool`` is the position of the believed tool (3,), m. `ORDERS` gives a vector or None for the setting's order.
+        With a vector (base frame), the fruit with the smallest coordinate along this vector is next. With None, the
+        fruit nearest to the believed tool is next.
         """
         waiting = np.flatnonzero(self.waiting)
         if not waiting.size:
@@ -358,8 +359,13 @@ def _given_fruit(given: Any) -> Array:
 def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
     """Make a scene of fruit, drawn or given, as the camera sees it; return None if no fruit was drawn.
 
-    ``given`` has positions (n, 3), m, base frame, or is None to draw fruit. The flags `reachable` of this scene mark
-    the fruit that is seen and has a free path from below, whether or not the arm reaches it.
+    The flags `reachable` of this scene mark the fruit that is seen and has a free path from below, whether or not the
+    arm reaches it.
+
+    Args:
+        orchard: The orchard, the camera and the gripper.
+        rng: Random generator.
+        given: Positions of the fruit (n, 3), m, base frame, or None to draw fruit.
     """
     if given is None:
         positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
@@ -445,7 +451,7 @@ def make_pick(
 ) -> tuple[Task, PickSetting]:
     """Check the arguments of a picking environment, which `pickenv/Pick-v0` explains.
 
-    Of the arguments of `pickenv.envs.make_task` it takes those in `OF_THE_ARM` too.
+    It also takes the arguments of `pickenv.envs.make_task` that `OF_THE_ARM` names.
 
     Returns:
         The arm's task, and the setting of fruit, camera and gripper.
@@ -496,7 +502,7 @@ def make_pick(
 def pick_spaces(task: Task, orchard: PickSetting) -> tuple[spaces.Box, spaces.Box]:
     """Return the observation space and the action space.
 
-    `MOST_FELT` bounds the observed position of a fruit in the gripper, which takes no fruit that is so far off.
+    `MOST_FELT` bounds the observed position of a fruit in the gripper. The gripper takes no fruit that is farther off.
     """
     bounds = box([1.0] * task.joints + [task.reach] * 6 + [2 * task.reach] * 3 + [math.pi] * 3)
     felt = np.full(0 if orchard.felt is None else 3, MOST_FELT, np.float32)
@@ -553,8 +559,8 @@ def draw_starts(task: Task, orchard: PickSetting, reach: Reach, episodes: Sequen
             `arms="per_env"` the arm of the last episode stays if there was one.
 
     Returns:
-        For each episode the fruit, the index (from 0) of the true arm (None if there is only one), and the key of the
-        random streams that the situation (delays and noise) uses.
+        Three values for each episode. The first is the fruit. The second is the index (from 0) of the true arm, or None
+        if there is only one arm. The third is the key of the random streams of the situation (delays and noise).
 
     Raises:
         InputError: If no fruit is within reach, or the population has no arm with a given index.

@@ -167,7 +167,8 @@ class PickVectorEnv(NativeVectorEnv):
 def _each(options: Information, name: str, count: int, rank: int) -> list[Any]:
     """Return the values of option ``name``, one for each of ``count`` environments.
 
-    The option's value is used for all environments if it has fewer than ``rank`` axes, else it has an entry for each.
+    If the option's value has fewer than ``rank`` axes, all environments get this value. Otherwise the value has one
+    entry per environment.
     """
     values = options.get(name)
     if values is None or np.ndim(values) < rank:

@@ -126,7 +126,13 @@ class Batch(ArmBatch, ABC):
         return simulation.View(*plain)  # type: ignore[arg-type]
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
-        """Return a copy of the `Views` ``out`` of all environments, in which ``some`` replaces the columns ``rows``."""
+        """Return a copy of ``out`` in which ``some`` replaces the columns ``rows``.
+
+        Args:
+            out: `Views` of all environments.
+            rows: Indices of environments, from 0.
+            some: `Views` of these environments.
+        """
         out, places = deepcopy(out), self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):
             all_[..., places] = few
@@ -142,9 +148,12 @@ class Batch(ArmBatch, ABC):
         return simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
 
     def reward(self, x: Executor, scene: simulation.View, *goals: Scalars) -> Scalar:
-        """Compute the reward from achieved and desired goal as they are returned, or without goals from the true error.
+        """Compute the reward from the goals, or from the tool's true error in ``scene`` if no goals are given.
 
-        ``x`` is the executor on which ``scene`` was measured.
+        Args:
+            x: The executor on which ``scene`` was measured.
+            scene: All that is measured and true in the environments.
+            goals: The achieved and the desired goal, as observations have them; or nothing.
         """
         return simulation.goal_reward(x, self.task, *goals) if goals else simulation.true_reward(x, self.task, scene)
 

@@ -166,11 +166,19 @@ class TorchBatch(Batch):
     def _shown(
         self, columns: Columns, commands: Columns, keys: Tensor, when: Tensor, dt: Scalar, plant: Plant | None = None
     ) -> Columns:
-        """Simulate the period ``dt``, s, at joint commands; return the results as columns of one number type.
+        """Simulate the time ``dt`` at joint commands; return the results as columns of one number type.
 
         First come the numbers of the state that change in an episode, then observation, reward, `numbers` and
-        `vectors` as in `Views`. A compiled loop on a CPU is fast with such columns. `_outcome` stacks and converts
-        them. ``when`` has the number of steps in each episode so far.
+        `vectors` as in `Views`. The reward is left out with goal dictionaries, and the fruit's position is left out of
+        `vectors`. A compiled loop on a CPU is fast with such columns. `_outcome` stacks and converts them.
+
+        Args:
+            columns: The state, with the new joint targets.
+            commands: Joint commands, n components, rad or m.
+            keys: Keys of the episodes.
+            when: Number of steps in each episode so far; used only for noise.
+            dt: Time to simulate, s.
+            plant: The true arms; None for the true arms of all environments.
         """
         x, plant = self.x, plant or self.plant
         state, scene = simulation.look(x, self.task, plant, self.state_of(columns), commands, keys, when, dt)

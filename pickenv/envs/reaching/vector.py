@@ -114,8 +114,8 @@ class ReachVectorEnv(NativeVectorEnv):
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays that the next step depends on, for a checkpoint.
 
-        `STATE` has the names of the environment's attributes among them, by the names that they have in the checkpoint.
-        This works for environments on NumPy with an autoreset mode other than "Disabled".
+        Some of the arrays are attributes of the environment; `STATE` has the attribute's name for each array's name in
+        the checkpoint. This works for environments on NumPy with an autoreset mode other than "Disabled".
         """
         arrays = {key: getattr(self, name) for key, name in STATE.items()}
         arrays["seeded"] = np.full(self.num_envs, self._begun)

@@ -152,8 +152,8 @@ class ContactScene:
     def _robot(self, arm: Arm) -> Any:
         """Return the MuJoCo specification (`mujoco.MjSpec`) of the arm without weight, and of the world camera.
 
-        Drives of arms that are made from an arm file have `STIFFNESS` and `DAMPING`, and their gears add the inertia
-        `ARMATURE`, all in SI units for joints that turn or slide. These drives settle within one or two control
+        If the arm is made from an arm file, its drives have `STIFFNESS` and `DAMPING`, and the gears add the inertia
+        `ARMATURE`. All are in SI units for joints that turn or slide. These drives settle within one or two control
         periods. Without the inertia, damping would dominate at the wrist and contacts would be unstable.
 
         A manufacturer's meshes are replaced in contacts and pictures by convex hulls with at most `HULL` corners. Geoms
@@ -207,9 +207,12 @@ class ContactScene:
         return spec
 
     def _equip(self, spec: Any, last: Any, tool: Frame) -> None:
-        """Add the tool's site, the wrist camera and the gripper to the body ``last``, the arm's last link.
+        """Add the tool's site, the wrist camera and the gripper to the arm's last link.
 
-        ``tool`` is the tool's frame in the frame of this body.
+        Args:
+            spec: `mujoco.MjSpec` of the scene.
+            last: The body that is the arm's last link.
+            tool: The tool's frame in the frame of this body.
         """
         around = self.around
         rotation, place, face = np.array(tool[:9]).reshape(3, 3).T, np.array(tool[9:]), -around.radius
@@ -251,9 +254,13 @@ class ContactScene:
         self._rod(body, np.zeros(3), end, 0.02)
 
     def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
-        """Add a rod to a body, from ``start (3,)`` to ``end (3,)``, m, in the body's frame; ``radius`` is in m.
+        """Add a rod without contacts and with almost no mass to a body, unless it is not longer than its radius.
 
-        The rod has no contacts and almost no mass. A rod that is not longer than its radius is left out.
+        Args:
+            body: The body.
+            start: Start of the rod ``(3,)``, m, in the body's frame.
+            end: End of the rod ``(3,)``, m, in the body's frame.
+            radius: Radius of the rod, m.
         """
         if np.linalg.norm(np.subtract(end, start)) > radius:
             look = {"contype": OTHER, "conaffinity": OTHER, "mass": 1e-3, "rgba": METAL}
@@ -383,8 +390,8 @@ class ContactScene:
     def carry(self, joints: Sequence[float], tool: Frame, grip: float, period: float) -> None:
         """Simulate one period, in which the drives move on to new joint positions.
 
-        Stems and the cup's hold are checked for breaking after every `CHUNK` physics steps, which take `TIMESTEP`, or
-        half of it with a manufacturer's model.
+        A physics step takes `TIMESTEP`, or half of it with a manufacturer's model. After every `CHUNK` physics steps,
+        stems and the cup's hold are checked for breaking.
 
         Args:
             joints: Positions of the true arm's joints at the end of the period ``(n,)``, rad or m.

@@ -55,7 +55,7 @@ class PickSceneEnv(ReachEnv):
     fruit's stem breaks when it is pulled hard enough. The policy commands the *nominal* arm, that is the model that its
     controller believes in. But the *true* arm moves, touches the fruit and carries the wrist camera. Its parts, joint
     zeros, compliance, backlash and warm-up are as in the plant (the model of the true arm). Delays and noise are
-    as in `pickenv/Reach-v0`. With an ideal plant the states equal those of the plain MuJoCo model, to the bit.
+    as in `pickenv/Reach-v0`. With an ideal plant the states equal the plain MuJoCo model's states, to the bit.
     Contacts, their forces and the success of picks are simulated, and hold for this cup and this branch only.
 
     The arm is drawn as rods from the arm file, or comes from a manufacturer's MJCF file (`model`). Of the arm, only the
@@ -240,7 +240,8 @@ class PickSceneEnv(ReachEnv):
     def _places(self) -> Array:
         """Return k possible positions of fruit, then the position of the arm's base, ``(k + 1, 3)``, m, base frame.
 
-        They are the positions of the first `SPREAD` poses among `ATTEMPTS` that fit the task.
+        The positions of fruit are the tool's positions at the first `SPREAD` poses among `ATTEMPTS` that fit the task.
+        The pose at which the arm moves best in every direction is stored in `_favoured`.
         """
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
         joints: Array = np.array(list(islice((pose for pose, fits in tries if fits), SPREAD)))
@@ -251,7 +252,8 @@ class PickSceneEnv(ReachEnv):
     def _placed(self, within: float) -> tuple[Array, Array]:
         """Return joints with the tool at this episode's fruit, and joints at the start, ``(n,)`` each, rad or m.
 
-        ``within`` is the largest distance of the fruit per axis from the place where the arm moves well, m.
+        They are drawn once per episode. ``within`` is the largest distance of the fruit per axis from the place where
+        the arm moves well, m.
         """
         if self._pair is None or self._pair[0] != int(self._key):
             self._pair = int(self._key), self._before_fruit(within)
@@ -260,8 +262,8 @@ class PickSceneEnv(ReachEnv):
     def _before_fruit(self, within: float) -> tuple[Array, Array]:
         """Draw the joints that `_placed` returns; `_placed` explains them.
 
-        `TRIES` has the numbers of pairs of a fruit and a start that are drawn at once. Drawing ends when the arm
-        reaches the fruit and the start of a pair.
+        A pair is a fruit and a start. `TRIES` says how many pairs are drawn at once, in one try after another. Drawing
+        ends when the arm reaches the fruit and the start of a pair.
         """
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
@@ -297,9 +299,9 @@ class PickSceneEnv(ReachEnv):
         self.plant = self._scaled(self.plant)
 
     def _scaled(self, plant: Plant) -> Plant:
-        """Return the true arm ``plant`` with its errors scaled to `error_mm`, or unchanged if `error_mm` is None.
+        """Return the true arm ``plant`` with its geometric errors scaled to `error_mm`, and without effects.
 
-        The error is the mean over `SPREAD` poses.
+        The error is the mean over `SPREAD` poses. If `error_mm` is None, ``plant`` is returned unchanged.
         """
         if self._error is None:
             return plant

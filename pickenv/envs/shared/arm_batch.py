@@ -75,16 +75,16 @@ class ArmBatch:
         self._widths: list[int] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all attributes but those in `remade`."""
+        """Return all attributes except the attributes that `remade` names."""
         return {key: value for key, value in vars(self).items() if key not in self.remade}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the attributes that `__getstate__` returned, and make those in `remade`."""
+        """Restore the attributes that `__getstate__` returned, and make the attributes that `remade` names."""
         vars(self).update(state)
         self.remake()
 
     def remake(self) -> None:
-        """Make the attributes in `remade`."""
+        """Make the attributes that `remade` names."""
 
     def make_room(self, goal: int, seen: int) -> None:
         """Allocate the columns for the arms' states, and for what the true arms remember, such as their backlash.
@@ -193,10 +193,13 @@ class ArmBatch:
         return list(self.numbers((np.repeat([task.middle], len(keys), axis=0) if joints is None else joints).T))
 
     def commands(self, compensate: Compensators | None, targets: Columns, where: Any = slice(None)) -> Columns:
-        """Compute the joint commands of the environments ``where`` from their joint targets, both n components.
+        """Compute joint commands from joint targets, both n components.
 
-        ``compensate`` is a function from joint targets to joint commands, NumPy arrays ``(..., n)``, or one function
-        per environment, or None for commands equal to targets.
+        Args:
+            compensate: Function from joint targets to joint commands, NumPy arrays ``(..., n)``, or one such function
+                per environment. With None, commands equal targets.
+            targets: The joint targets of the environments ``where``, rad or m.
+            where: Indices (from 0) or slice of the environments.
         """
         if compensate is None:
             return targets

@@ -101,7 +101,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         return self._observation(), self._masked(mask)
 
     def step(self, actions: ArrayLike) -> tuple[Any, Any, Any, Any, Information]:
-        """Act in all environments; where an episode is over, a new one begins according to the autoreset mode.
+        """Act in all environments. After the end of an episode, the next one begins as the autoreset mode says.
 
         Raises:
             InputError: If actions have another shape or invalid numbers, if `reset` was never called, or if an ended

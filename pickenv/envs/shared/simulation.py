@@ -137,7 +137,7 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
         attempt: Index of the attempt, from 0; the first pose that fits becomes the goal.
 
     Returns:
-        The joints ``n``, rad or m, and whether their pose fits.
+        The n joints, rad or m, and whether their pose fits.
     """
     joints = []
     for i, (low, high) in enumerate(zip(*task.box, strict=True)):
@@ -195,10 +195,13 @@ def begin(
 
 
 def move(x: Executor, task: Task, target: Scalars, action: Scalars) -> Components:
-    """Return the nominal joint target after an action, given the joint ``target`` before it; n components, rad or m.
+    """Return the nominal joint target after an action: n components, rad or m, within the joint limits.
 
-    The action's numbers are clipped to -1 to 1 and multiplied by the largest increments. The target is kept within the
-    joint limits.
+    Args:
+        x: The executor.
+        task: The task.
+        target: The joint target before the action.
+        action: Shares of the largest increments, which are clipped to -1 to 1.
     """
     m, limits = x.m, zip(target, action, task.increment, task.lower, task.upper, strict=True)
     joints = [clipped(m, q + clipped(m, share, -1.0, 1.0) * most, low, high) for q, share, most, low, high in limits]
@@ -282,8 +285,8 @@ def viewed(
 ) -> tuple[ArmState, View]:
     """Return what `look` returns, for encoder readings and a true tool that are known already.
 
-    The readings ``read`` are n nominal joints without noise, rad or m, and ``true`` is the tool's true frame. `look`
-    explains all other arguments.
+    `look` explains all arguments but ``read`` and ``true``. ``read`` has the joint readings without noise, as n nominal
+    joints, rad or m. ``true`` is the tool's true frame.
     """
     m, goal, sighting, setting = x.m, state.goal, state.seen, task.situation
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
@@ -325,8 +328,8 @@ def sensed(
 ) -> tuple[Scalars, Components]:
     """Return the readings that arrive now, and the delayed readings that are still pending, latest first.
 
-    Readings come from the joints, with the encoders' noise, and from the camera. At the start of an episode, where
-    ``dt`` is the plain number 0.0, all pending readings equal the first one.
+    Readings come from the joints, with the encoders' noise, and from the camera. At the start of an episode, all
+    pending readings equal the first reading; ``dt`` is then the plain number 0.0.
 
     Args:
         x: The executor.
@@ -348,9 +351,14 @@ def sensed(
 
 
 def noisy(x: Executor, stream: Scalar, moment: Scalar, values: Scalars, std: Scalar) -> list[Scalar]:
-    """Return ``values`` plus normal noise of the standard deviation ``std``, which is in the unit of the values.
+    """Return ``values`` plus normal noise.
 
-    The noise is from the random stream with the key ``stream``, at the step ``moment`` of the episode (64-bit word).
+    Args:
+        x: The executor.
+        stream: Key of the random stream of the noise.
+        moment: Number of steps in the episode so far, a 64-bit word.
+        values: The values.
+        std: Standard deviation of the noise, in the unit of the values.
     """
     first = x.times(moment, len(values))
     return [value + std * normal(x, stream, x.plus(first, x.word(i))) for i, value in enumerate(values)]
@@ -360,6 +368,13 @@ def nominal_readings(x: Executor, plant: Plant, state: PlantState, target: Scala
     """Return the joint readings as nominal joints (n components, rad or m): joint target + reading - joint command.
 
     So the difference between target and command, which a compensator makes, does not appear in observations.
+
+    Args:
+        x: The executor.
+        plant: The true arm, or arms.
+        state: State of the true arm.
+        target: The nominal joint target.
+        command: The joint command that the drives get for this target.
     """
     readings = plant.readings(x.m, state, command)
     return [q + (reading - sent) for q, reading, sent in zip(target, readings, command, strict=True)]
@@ -387,9 +402,13 @@ def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Sca
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Scalars) -> Scalar:
-    """Return the size, rad, of the part of a small rotation vector ``turn`` (rad) that no revolute axis can produce.
+    """Return the size, rad, of the part of a small rotation that no revolute axis can produce.
 
-    ``links`` has the frames of the arm's links, base first.
+    Args:
+        x: The executor.
+        task: The task.
+        links: Frames of the arm's links, base first.
+        turn: Rotation vector of the rotation, rad.
     """
     if task.lost_axes is None:
         return 0.0 * sum(turn)
@@ -442,7 +461,10 @@ def goal_reward(x: Executor, task: Task, achieved: Scalars, desired: Scalars) ->
 
 
 def gap_reward(x: Executor, task: Task, gap: Scalars, turn: Scalars) -> Scalar:
-    """Compute the reward from ``gap`` (m) and rotation vector ``turn`` (rad) between tool and fruit, 3 numbers each."""
+    """Compute the reward from the position gap ``gap``, m, and the attitude gap ``turn``, rad, of tool and fruit.
+
+    Each has three components; ``turn`` is a rotation vector.
+    """
     distance_mm, angle_deg = 1e3 * length(x, gap), DEGREES * length(x, turn)
     return _reward(x, task, in_capture_region(task, distance_mm, angle_deg), distance_mm, angle_deg)
 

@@ -1,7 +1,7 @@
 """The situation of an episode: delays and noise of acting and sensing, hours since switch-on, and the start.
 
 Each of these is a number, or a range from which every episode draws a number. The functions work on components (one
-float, array or tensor for each number of a vector), like those of `pickenv.envs.shared.simulation`. Arguments left at
+float, array or tensor for each number of a vector), as in `pickenv.envs.shared.simulation`. Arguments left at
 their defaults cost no time and change no bit of the results. Units: s, rad, m.
 """
 
@@ -126,10 +126,13 @@ def make_situation(
 
 
 def _span(name: str, given: Any, least: float, most: float) -> Span:
-    """Check ``given``, a number or a range [least, largest], and return it as a `Span`.
+    """Check a number or a range, and return it as a `Span`.
 
-    It must lie between ``least`` and ``most``. If ``least`` is an int, the ends must be whole numbers. ``name`` is for
-    the message.
+    Args:
+        name: Name of the argument, for the message.
+        given: The number, or the range as [least, largest].
+        least: Smallest number allowed. If it is an int, the ends must be whole numbers.
+        most: Largest number allowed.
     """
     ends = tuple(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given, given)
     kind: Any = (int, np.integer) if isinstance(least, int) else Real
@@ -153,9 +156,14 @@ def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
 def drawn_start(
     x: Executor, setting: Situation, key: Scalar, lower: Sequence[float], upper: Sequence[float]
 ) -> list[Scalar]:
-    """Draw the joints (rad or m) from which the episode with the key ``key`` starts.
+    """Draw the joints, rad or m, at which an episode starts, uniformly about the middle of each joint's range.
 
-    They are in the middle share `Situation.spread` of the range from ``lower`` to ``upper`` of each joint.
+    Args:
+        x: The executor.
+        setting: The situation; its `spread` is the share of each range that starts are drawn from.
+        key: Key of the episode.
+        lower: Lower ends of the ranges, rad or m.
+        upper: Upper ends of the ranges, rad or m.
     """
     stream, half = stream_key(x, key, START), 0.5 * setting.spread
     limits = enumerate(zip(lower, upper, strict=True))
@@ -163,9 +171,9 @@ def drawn_start(
 
 
 def in_period(x: Executor, setting: Situation, drawn: Components, action: Scalars) -> Scalars:
-    """Multiply an action by the ratio of the episode's period to the longest one: a short period moves the arm less.
+    """Multiply an action by the ratio of the episode's period to the longest period.
 
-    ``drawn`` has the numbers that were drawn for the episode.
+    So a short period moves the arm less. ``drawn`` has the numbers that were drawn for the episode.
     """
     if not setting.period.varies:
         return action

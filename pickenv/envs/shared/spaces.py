@@ -238,7 +238,7 @@ class Rescaling(ABC):
 
     @abstractmethod
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
-        """Compute the environment's actions from a policy's.
+        """Compute the environment's actions from a policy's actions.
 
         Invalid actions are passed on, so that the environment raises the error.
 
@@ -329,9 +329,9 @@ class Scaling(Rescaling):
         return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), self.SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
-        """Compute the factor ``(..., 1)``, at most 1, by which a network's actions at observations are multiplied.
+        """Compute the factor ``(..., 1)``, at most 1, by which a network's actions are multiplied.
 
-        See `gap` for the arguments.
+        `gap` explains the arguments.
         """
         size = self.size(values, xp)
         return xp.clip(size, None, 1.0) if self.actions else 0.0 * size + 1.0
@@ -369,9 +369,8 @@ class Scaling(Rescaling):
 def scaling_of(task: Task, actions: bool = True) -> Scaling:
     """Return the scaling for a task's flat observations (arrays, not goal dictionaries).
 
-    ``actions`` says whether actions shrink with the gap.
-
-    Where actions move the tool, a gap counts as near if one action can close it.
+    ``actions`` says whether actions shrink with the gap. If actions move the tool, a gap that one action can close
+    counts as near.
     """
     near = dict(zip(("near", "near_turn"), task.tool[::3], strict=False))
     return Scaling(task.joints, task.camera, actions=actions, tool=len(task.tool), **near)

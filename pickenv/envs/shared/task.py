@@ -35,7 +35,7 @@ FACTORS = ("cos_alpha", "sin_alpha", "a", "d", "cos_theta", "sin_theta")
 
 
 class Exact:
-    """A constant 0, 1 or -1, whose products and sums with arrays need no array arithmetic where possible."""
+    """A constant 0, 1 or -1. Its products and sums with arrays are formed without array arithmetic if possible."""
 
     __slots__ = ("value",)
     __array_ufunc__ = None  # arrays leave the arithmetic to this class
@@ -213,7 +213,7 @@ class Task:
 
     @cached_property
     def edge_cost(self) -> float:
-        """Cost in the dense reward when both errors equal their tolerances; it is added outside the capture region."""
+        """Cost of errors that equal both tolerances; the dense reward subtracts it outside the capture region."""
         angle_cost = 0.5 * math.log10(1.0 + self.angle_tolerance_deg) if self.attitude else 0.0
         return math.log10(1.0 + self.tolerance_mm) + angle_cost
 
@@ -385,12 +385,12 @@ def refuse_unknown(env: Any, arguments: Iterable[str], *makers: Callable[..., An
 
 
 def refuse_idle(maker: Callable[..., Any], values: Mapping[str, Any], where: str) -> None:
-    """Raise an `InputError` that names an argument which would change nothing; defaults are accepted.
+    """Raise an `InputError` if an argument without effect has another value than its default.
 
     Args:
         maker: Function whose signature has the defaults.
         values: Values of the arguments without effect, by name.
-        where: End of the message: where they have none, and what to do.
+        where: End of the message: in which case the argument has no effect, and what to do.
     """
     for name, value in values.items():
         if value != signature(maker).parameters[name].default:
@@ -614,7 +614,7 @@ def free_box(
         increment: Largest increments of the joints, rad or m.
         tool: Largest increments of the tool, m and rad.
         min_upright: Smallest z component of the tool's axis.
-        spread: Edges of the box, as shares of the joints' ranges. A range of more than a whole turn counts as one.
+        spread: Edges of the box, as shares of the joints' ranges. A range above a whole turn counts as a whole turn.
 
     Returns:
         The lower and the upper bounds of the box ``(n,)``, rad or m.
