@@ -477,7 +477,7 @@ def _joints(
         if joint.name in joints:
             raise InputError(f"joint '{shortened(joint.name)}' is given twice; rename one")
         joints[joint.name] = joint
-    ties = _ties(root, values, joints)
+    ties = _ties(root, joints)
     _refuse_loops(root, bodies, {key for key in chain if bodies[key].joints})
     row: list[ChainJoint] = []
     drives: dict[str, Drive] = {}
@@ -502,12 +502,11 @@ def _joints(
     return row, before, drives
 
 
-def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> dict[str, tuple[str, float, float]]:
+def _ties(root: Element, joints: Mapping[str, _Joint]) -> dict[str, tuple[str, float, float]]:
     """Return what each joint with an active equality constraint follows, by the joint's name.
 
     Args:
         root: The file's root element.
-        values: Settings of the file; not used.
         joints: All joints of the file by name.
 
     Returns:
