@@ -301,7 +301,10 @@ class RememberingPolicy(Actor):
         return set(self.arrays) == set(LSTM)
 
     def begin(self, rows: int) -> State:
-        """Return the state for ``rows`` arms that have not picked yet; it is empty for a policy with a window."""
+        """Return the policy's first state, before any pick; ``rows`` is the number of arms.
+
+        A policy that looks at the last picks, in place of a memory of its own, has an empty state.
+        """
         units = len(self.arrays["state"]) if self.recurrent else 0
         return np.zeros((rows, units)), np.zeros((rows, units))
 

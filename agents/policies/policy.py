@@ -148,9 +148,10 @@ class ReachController:
         return self._sent
 
     def present(self, observation: ArrayLike) -> ObservationParts:
-        """Return the parts of an observation, shifted to the joints to which the arm has been sent (`commanded`).
+        """Split an observation into its parts, as they are once the arm has done all commands sent (`commanded`).
 
-        Without delays, the parts stay as observed.
+        If readings or actions are delayed, the joints and what depends on them are computed for that moment. Without
+        delays, the parts are as observed.
 
         Raises:
             InputError: If the observation has another length than `pickenv/Reach-v0` gives for such an arm.

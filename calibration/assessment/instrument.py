@@ -365,13 +365,17 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
 
 
 def _step(values: Array, misses: Array) -> tuple[float, float, float]:
-    """Return the largest share of squared errors that a step explains, the joint value there, and the step's height, m.
+    """Find the joint value at which the mean error changes most.
 
-    A step is a joint value above which the mean error differs from the mean error below. Its height is the difference.
+    The errors below such a value have one mean, and the errors above have another.
 
     Args:
         values: Values of one joint ``(N,)``, rad or m.
-        misses: Measured minus predicted positions ``(N, 3)``, m.
+        misses: Errors ``(N, 3)``, measured minus predicted positions, m.
+
+    Returns:
+        Three values. The first is the share of the summed squared errors that the two means explain. The second is the
+        joint value, rad or m. The third is the distance between the two means, m.
     """
     best = (0.0, 0.0, 0.0)
     for at in np.quantile(values, STEPS).tolist():

@@ -346,8 +346,9 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
             blocks are contiguous tenths of the poses.
 
     Returns:
-        The entry "factor", and the entry "covered". The latter is the share of errors below the factor times their
-        expected size, if each block's factor comes from all other blocks. None if there are too few errors or blocks.
+        The entry "factor", and the entry "covered": the share of errors that are smaller than a factor times their
+        expected size. For "covered", each block has its own factor, computed from the errors of all other blocks. None
+        if there are too few errors or blocks.
     """
     count = len(squares)
     if count < 2 * BLOCKS:

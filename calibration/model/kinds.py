@@ -169,10 +169,10 @@ class _Plane(_Point):
 
     @staticmethod
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        """Return first values of the plane's numbers, and the unchanged ``zero``, m.
+        """Return an estimate of the plane, from which a fit starts, and ``zero`` as it was given, m.
 
-        There are two candidates for the normal: the shortest axis of the points, and the direction along which the
-        readings grow. The normal is the candidate that explains the readings better.
+        Of two directions, the plane's normal is the one that explains the readings better. The first direction is the
+        shortest axis of the points. The second is the direction along which the readings grow.
 
         Args:
             points: The points ``(N, 3)``, m.

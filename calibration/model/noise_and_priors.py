@@ -365,8 +365,8 @@ class PriorModel:
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
         """Return this model with further terms, whose coefficients are expected at zero.
 
-        Factors in ``scales`` that were estimated without the terms are dropped. Such an estimate makes the rows seem
-        noisier than they are, and the parts more accurate.
+        Factors in ``scales`` that were estimated without the terms are dropped. Without the terms, the noise of the
+        rows is estimated too large, and the tolerances of the arm's parts too small.
         """
         if not terms:
             return self

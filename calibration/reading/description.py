@@ -644,9 +644,10 @@ class DescriptionFile:
 
 
 def description_file() -> type[DescriptionFile]:
-    """Return the class of a column description's content, with the sections of other packages' instruments added.
+    """Return the class into which column descriptions are read.
 
-    The class of such a section is the annotation of the parameter ``section`` of the instrument's reader.
+    Each instrument of another package adds a field, which is a section of the file. The reader of the instrument has a
+    parameter ``section``, and the annotation of this parameter is the section's class.
     """
     readers = {name: reader for name, reader in load_all("instrument").items() if not hasattr(DescriptionFile, name)}
     sections = [(name, get_type_hints(reader)["section"] | None, None) for name, reader in readers.items()]

@@ -579,9 +579,9 @@ MOST_READ = 1_000_000
 def line_of(text: str, place: list[Any]) -> int | None:
     """Return the line, from 1, at which the value at ``place`` of a valid TOML file begins, or None.
 
-    If the file has no such value, the line of the table that would hold it is returned. The search parses the text up
-    to each line that names the key, with open brackets and quotes closed, until the value is in the result. It returns
-    None after `MOST_READ` characters.
+    If the file has no such value, the line of the table that would hold it is returned. The last key of ``place`` may
+    stand in several lines. The text up to each of them is parsed in turn, after closing its open brackets and quotes.
+    The first line whose parsed text has the value is returned, or None after `MOST_READ` characters.
 
     Args:
         text: The file's text.

@@ -77,7 +77,15 @@ def cell_of(rows: Rows, key: Sequence[Any]) -> Rows:
 
 
 def evaluation_content(settings: PolicySettings, rows: Rows) -> dict[str, Any]:
-    """Return the table of an evaluation and the comparisons of its compensations, for JSON."""
+    """Return an evaluation's numbers, for JSON.
+
+    "rows" has the table of `evaluation_rows`. "comparisons" has the differences that
+    `compensations_compared` returns.
+
+    Args:
+        settings: What was compared.
+        rows: The episodes, from `run_policies`.
+    """
     return {"rows": evaluation_rows(settings, rows), "comparisons": compensations_compared(rows)}
 
 
