@@ -160,15 +160,15 @@ def twin(
 
 
 def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:
-    """Return the dropped parameters of the geometry, and how the other parameters change with them at equal poses.
+    """Return the parameters that were left out of the fit, and the changes of others that cancel their effect on poses.
 
     Args:
         calibration: The calibration.
         names: Names of the model's p parameters.
 
     Returns:
-        The indices, from 0, of the d dropped parameters in the geometry, and a matrix ``(p, d)`` of changes. In a
-        column, the dropped parameter changes by 1. The parameters that absorbed it change so that poses stay equal.
+        The indices, from 0, of the d left-out parameters among those of the geometry, and a matrix ``(p, d)``. In each
+        column one left-out parameter changes by 1, and other parameters change so that all poses stay the same.
     """
     parameters = calibration.identified.parameter_names
     dropped: Mapping[str, Mapping[str, float]] = calibration.record.get("dropped", {})

@@ -243,9 +243,13 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 
 
 def arms_compared(folder: str | Path, setting: int) -> Comparison:
-    """Return the reaches of a setting's worst, median and best arm, as a comparison with one policy per arm.
+    """Return the episodes of a setting's worst, median and best arm as a comparison, in which each arm is a policy.
 
-    The ``setting`` is a number from 0. `record_study` makes its recording from this comparison.
+    `record_study` makes its recording from this comparison.
+
+    Args:
+        folder: Folder of the study.
+        setting: Number of the setting, from 0.
     """
     protocol = prepared_study(study_of(folder))
     config, nominal = protocol.config, protocol.nominal

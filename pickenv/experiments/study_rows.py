@@ -353,9 +353,10 @@ def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
 
 
 def _middle(rows: Sequence[Row], name: str) -> Any:
-    """Return the middle value of the column ``name``: of classes in the order of the rows, of numbers by size.
+    """Return the middle of the different values of the column ``name``.
 
-    Only the rows of calibrated arms count, if there are any. Of two middle values the first is returned.
+    Numbers are sorted by size. Tolerance classes keep the order of the rows. Only the rows of calibrated arms count, if
+    there are any. Of two middle values the first is returned.
     """
     calibrated = [row for row in rows if row["method"] != study.RAW] or rows
     values = list(dict.fromkeys(row[name] for row in calibrated))

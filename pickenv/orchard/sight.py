@@ -74,8 +74,9 @@ class Leaves:
 
     Attributes:
         places: Centres, m, shape (m, 3).
-        shapes: For each leaf, a matrix for its attitude and proportions, shape (m, 2, 2). It maps the leaf's ellipse in
-            the image to the unit disc, after lengths are divided by half the larger of a leaf's length and width.
+        shapes: For each leaf, a matrix for its attitude and proportions, shape (m, 2, 2). First, offsets from the
+            leaf's centre in the image are divided by half the leaf's length or width, whichever is larger. The matrix
+            then maps the leaf's ellipse to the unit disc.
         colours: Red, green and blue of each leaf, 0 to 255, shape (m, 3).
     """
 

@@ -275,7 +275,10 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         return self.run.shown(), self._infos(infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Pick one fruit on every arm; ``actions`` are the shifts of the aims beside the fruit, one row per arm."""
+        """Pick one fruit on every arm.
+
+        Each row of ``actions`` ``(N, 3)`` is the offset of one arm's aim from its fruit, as in `SameArm`.
+        """
         self.env.reset(options=self.run.options(actions, self._arms))
         rewards, infos = self.run.stand(self.env, self._still)
         done = np.full(self.num_envs, self.run.pick >= self.run.picks)
@@ -355,7 +358,10 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
         return np.concatenate(observations), _joined(infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Pick one fruit on every arm; ``actions`` are the shifts of the aims beside the fruit, one row per arm."""
+        """Pick one fruit on every arm.
+
+        Each row of ``actions`` ``(N, 3)`` is the offset of one arm's aim from its fruit, as in `SameArm`.
+        """
         shares = np.split(as_numbers("actions", actions), self._ends)
         *columns, infos = zip(*(part.step(share) for part, share in zip(self.parts, shares, strict=True)), strict=True)
         observations, rewards, ended, cut = (np.concatenate(column) for column in columns)
@@ -454,7 +460,10 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return self.run.shown()[0], self._info(info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Pick one fruit; ``action`` is the shift of the aim beside the fruit, as the class describes it."""
+        """Pick one fruit.
+
+        The ``action`` ``(3,)`` is the offset of the aim from the fruit, in the unit and frame that the class states.
+        """
         options = self.run.options(as_numbers("action", action)[None], self._arm)
         options = {key: value[0] if key != "arm" else value for key, value in options.items()}
         self.env.reset(options=options)

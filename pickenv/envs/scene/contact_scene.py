@@ -150,11 +150,12 @@ class ContactScene:
         return self.__dict__ | {"_pictures": {}, "_shown": None}
 
     def _robot(self, arm: Arm) -> Any:
-        """Return the MuJoCo specification (`mujoco.MjSpec`) of the arm without weight, and of the world camera.
+        """Return one MuJoCo specification (`mujoco.MjSpec`) of an arm that gravity does not pull, and the world camera.
 
         If the arm is made from an arm file, its drives have `STIFFNESS` and `DAMPING`, and the gears add the inertia
-        `ARMATURE`. All are in SI units for joints that turn or slide. These drives settle within one or two control
-        periods. Without the inertia, damping would dominate at the wrist and contacts would be unstable.
+        `ARMATURE`: in N*m/rad, N*m*s/rad and kg*m^2 for turning joints, in N/m, N*s/m and kg for sliding joints. These
+        drives settle within one or two control periods. Without the inertia, damping would dominate at the wrist and
+        contacts would be unstable.
 
         A manufacturer's meshes are replaced in contacts and pictures by convex hulls with at most `HULL` corners. Geoms
         of the group `AS_DRAWN` only show the arm's look and take ten times as long to draw; geoms of the group `UNSEEN`

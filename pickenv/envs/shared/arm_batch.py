@@ -184,8 +184,8 @@ class ArmBatch:
 
         Args:
             keys: Keys of the episodes' random streams ``(episodes,)``.
-            joints: Joint targets ``(episodes, n)``, rad or m; None to draw them if the task has a spread, else to
-                start at mid-range.
+            joints: Joint targets ``(episodes, n)``, rad or m. If None, the targets are drawn, or they are the middle of
+                the joints' ranges if the task has no spread of starts.
         """
         task = self.task
         if joints is None and task.situation.spread:
