@@ -12,16 +12,16 @@ import pytest
 ROOT = Path(__file__).parents[1]
 DEMO = """
 import signal
-import pickenv.demo
+import pickenv
 import torch  # interrupted while it loads, its C++ may abort the process before Python hears of it
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts what runs behind it deaf to Ctrl-C
-calibrate = pickenv.demo.calibrate
+calibrate = pickenv.calibrate
 
 def told(*arguments, **options):
     print("fitting", flush=True)
     return calibrate(*arguments, **options)
 
-pickenv.demo.calibrate = told
+pickenv.calibrate = told
 from pickenv.cli import main
 main()
 """

@@ -28,8 +28,6 @@ from pickenv.pictures.stage import Eye, Pixels
 require("mujoco")
 import mujoco  # noqa: E402
 
-from pickenv.pictures.mujoco_drawer import ModelPictures  # noqa: E402
-
 TIMESTEP, CHUNK = 0.004, 5
 STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
 CAMERAS = ("world", "wrist")
@@ -141,7 +139,7 @@ class ContactScene:
         self.held, self.suction = np.ones(around.fruit, dtype=np.bool_), False
         self.strength = np.full(around.fruit, np.inf)
         self._plant: Plant | None = None
-        self._pictures: dict[tuple[int, int], ModelPictures] = {}
+        self._pictures: dict[tuple[int, int], Any] = {}
         self._shown: Any = None
         self._sent: Array = np.zeros(self.model.nu)
 
@@ -493,6 +491,8 @@ class ContactScene:
         Raises:
             InputError: If this machine cannot render without a screen.
         """
+        from pickenv.pictures.mujoco_drawer import ModelPictures  # late: what draws is loaded when it draws
+
         if size not in self._pictures:  # films are larger than what is observed, and a context takes long to make
             try:
                 self._pictures[size] = ModelPictures(self.model, size)
@@ -504,7 +504,8 @@ class ContactScene:
             self._shown.sitegroup[:] = 0
             self._shown.flags[mujoco.mjtVisFlag.mjVIS_CONVEXHULL] = 1
         mujoco.mj_camlight(self.model, self.data)
-        return self._pictures[size].draw(self.data, self._cameras[camera], self._shown, dark)
+        pictures: ModelPictures = self._pictures[size]
+        return pictures.draw(self.data, self._cameras[camera], self._shown, dark)
 
     def close(self) -> None:
         """Free the renderers."""
