@@ -214,8 +214,10 @@ class Effort:
     seconds: Annotated[float, NUMBER.positive]
 
 
-load_effort = cache(partial(read_toml, Effort, STRATEGY_FILE, section="optimiser"))
-"""Return the table [optimiser] of the strategy file; the file is read only once."""
+@cache
+def load_effort() -> Effort:
+    """Return the table [optimiser] of the strategy file; the file is read only once."""
+    return read_toml(Effort, STRATEGY_FILE, section="optimiser")
 
 
 def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> Plan:

@@ -141,8 +141,10 @@ def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) ->
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
-load_lab = cache(partial(read_toml, Lab, PICKING_FILE, section="lab"))
-"""Return the table [lab] of the picking file (Li's experiment); the file is read only once."""
+@cache
+def load_lab() -> Lab:
+    """Return the table [lab] of the picking file (Li's experiment); the file is read only once."""
+    return read_toml(Lab, PICKING_FILE, section="lab")
 
 
 def lab_zone(canopy: trees.Canopy) -> Array:
@@ -208,8 +210,9 @@ class Grid:
     overlap: Annotated[float, MM.not_negative]
 
 
-load_grid = partial(read_toml, Grid, STRATEGY_FILE, section="zones")
-"""Return the table [zones] of the strategy file."""
+def load_grid() -> Grid:
+    """Return the table [zones] of the strategy file."""
+    return read_toml(Grid, STRATEGY_FILE, section="zones")
 
 
 def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:
