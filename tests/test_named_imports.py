@@ -2,6 +2,8 @@
 
 import importlib
 import re
+from functools import partial
+from inspect import unwrap
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -46,3 +48,9 @@ def test_every_import_of_ours_is_there() -> None:
             if (error.name or "pickenv").startswith(("pickenv", "calibration", "agents")):
                 lost.append(f"{place}: from {module} import {name}")
     assert not lost, "\n".join(lost)
+
+
+def test_every_function_helps_with_its_own_words() -> None:
+    """`help` of a partial tells of functools, and so do the pages made from it."""
+    things = {f"{m}.{n}": getattr(importlib.import_module(m), n, None) for m, n in named() if m.count(".") < 2}
+    assert not [name for name, thing in things.items() if isinstance(unwrap(thing), partial)]

@@ -6,7 +6,7 @@ Files are in degrees and millimetres, as their keys say. Objects made from them 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -58,4 +58,9 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
 
 def loader(kind: str, thing: type[Thing]) -> Callable[[str | Path], Thing]:
     """Return a function that reads presets of one kind by name or path, as `load` does with ``kind`` and ``thing``."""
-    return partial(load, kind, thing=thing)
+
+    def load_preset(name: str | Path) -> Thing:
+        return load(kind, name, thing)
+
+    load_preset.__doc__ = f"Read a {kind} by its name, one of `shipped({kind!r})`, or from a TOML file by its path."
+    return load_preset
