@@ -1,5 +1,6 @@
 """A run folder belongs to one process at a time, and to nobody once that process is gone."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -99,6 +100,18 @@ def test_what_the_owner_calls_may_lock_again_and_does_not_unlock(tmp_path: Path)
         code = f"from pickenv.base import locked\nwith locked({str(tmp_path)!r}): pass"
         done = subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True)
         assert f"process {os.getpid()}" in done.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX locks")
+@pytest.mark.parametrize("fault", [errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP])
+def test_on_a_file_system_without_locks_runs_go_on(fault: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def flock(handle: int, operation: int) -> None:
+        raise OSError(fault, os.strerror(fault))
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    with locked(tmp_path):
+        (tmp_path / "result.csv").touch()
+    assert [path.name for path in tmp_path.iterdir()] == ["result.csv"]
 
 
 def test_an_error_unlocks(tmp_path: Path) -> None:
