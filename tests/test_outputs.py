@@ -103,7 +103,7 @@ COMMANDS = {
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no /dev/full here")
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", ["effects", pytest.param("iso9283", marks=pytest.mark.slow)])
 def test_a_full_standard_output_costs_no_result(command, tmp_path):
     handle = os.open("/dev/full", os.O_WRONLY)
     try:

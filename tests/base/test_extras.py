@@ -133,7 +133,16 @@ for words in {commands!r}:
 """
 
 
-@pytest.mark.parametrize("gone", [GONE, GONE_TOO, {"matplotlib": ("board", "charuco_a4", "--out", "board.pdf")}])
+@pytest.mark.parametrize(
+    "gone",
+    [
+        GONE,
+        *(
+            pytest.param(gone, marks=pytest.mark.slow)
+            for gone in (GONE_TOO, {"matplotlib": ("board", "charuco_a4", "--out", "board.pdf")})
+        ),
+    ],
+)
 def test_a_command_says_so_and_ends_as_after_bad_input(gone: dict[str, tuple[str, ...]], tmp_path: Path) -> None:
     (tmp_path / "errors.rrd").write_bytes(b"RRF2")
     done = without(tuple(gone), TYPED.format(commands=list(gone.values())), tmp_path)

@@ -244,6 +244,7 @@ def test_web_serves_a_page_on_this_machine_alone_and_ends_with_ctrl_c(recording:
         urllib.request.urlopen(address.partition("?")[0], timeout=60.0)
 
 
+@pytest.mark.slow
 def test_a_recording_is_served_to_this_machine_alone(recording: Path) -> None:
     port = free_port()
     with pickenv_inspect(str(recording), "--serve", str(port)) as process:

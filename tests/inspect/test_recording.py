@@ -258,6 +258,7 @@ def test_a_folder_that_cannot_be_written_is_named(few: Comparison, tmp_path: Pat
         record_comparison(few, tmp_path / "file" / "errors.rrd")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", [20_000, pytest.param(60_000, marks=pytest.mark.slow)])
 def test_a_full_disk_is_one_sentence_and_leaves_nothing(room: int, tmp_path: Path) -> None:
     script = f"""

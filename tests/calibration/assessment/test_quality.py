@@ -70,6 +70,7 @@ def test_noise_stated_too_large_is_noticed(qiao, noisy):
     assert found.complete and found.reduced == pytest.approx(0.25, abs=0.06) and "too large" in found.sentence()
 
 
+@pytest.mark.slow
 def test_correlations_are_those_of_repeated_identification(qiao, noisy):
     model = link_model(qiao.nominal)
     found = [identify(model, qiao.nominal, noisy(12, 5))]

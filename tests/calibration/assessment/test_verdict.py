@@ -207,7 +207,7 @@ def shared(result, unwritten):
     return terminal, page
 
 
-@pytest.mark.parametrize("terms", ["none", "gravity+periodic"])
+@pytest.mark.parametrize("terms", ["none", pytest.param("gravity+periodic", marks=pytest.mark.slow)])
 def test_every_number_that_terminal_and_page_share_is_equal_on_the_ur5(measured_ur5, terms, unwritten):
     data = measured_ur5[1]
     rows = choose(data, None, np.random.default_rng(0))

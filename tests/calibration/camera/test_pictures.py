@@ -33,6 +33,7 @@ def ical(data_folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lens", "rms", "left_out"),
     [

@@ -155,6 +155,7 @@ def test_what_offsets_leave_out_is_what_no_other_offsets_avoid(made):
     assert f"with these offsets {left * 1e3:.3g} mm" in found.note()
 
 
+@pytest.mark.slow
 def test_deviations_are_those_of_repeated_measurements():
     """Calibrated again and again from fresh noise, offsets scatter as the calibration says; 60 runs tell it to 9 %."""
     arm, rng = load_arm("so101"), np.random.default_rng(51)

@@ -78,8 +78,13 @@ def backwards(m: Measurements, joint: int) -> Measurements:
     return replace(m, joints=m.joints * np.where(np.arange(m.joints.shape[1]) == joint, -1.0, 1.0))
 
 
-@pytest.mark.parametrize("positions", [False, True])
-@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize(
+    ("known", "positions"),
+    [
+        (False, True),
+        *(pytest.param(*other, marks=pytest.mark.slow) for other in ((False, False), (True, False), (True, True))),
+    ],
+)
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
@@ -103,7 +108,7 @@ MIRRORS = {"y turned round": np.diag([1.0, -1.0, 1.0]), "x and y exchanged": np.
 
 
 @pytest.mark.parametrize("mirror", MIRRORS)
-@pytest.mark.parametrize("attitudes", ["none", "own", "mirrored"])
+@pytest.mark.parametrize("attitudes", ["none", pytest.param("own", marks=pytest.mark.slow), "mirrored"])
 def test_positions_of_a_left_handed_frame_are_named(exact, mirror, attitudes):
     arm, turn = load_arm("ur5"), MIRRORS[mirror]
     data = exact(replace(arm.nominal, base=placed(arm.nominal, 3).base), 40)

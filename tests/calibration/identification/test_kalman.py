@@ -87,6 +87,7 @@ def test_a_measured_arm_ends_near_least_squares(measured_ur5: tuple[Geometry, Me
     assert mean_error(filtered.geometry, test) == pytest.approx(mean_error(squares.geometry, test), rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_covariance_tells_the_truth(table_1: Plant) -> None:
     """Over many data sets the error of the parameters, in its own covariance, is as large as chi squared says."""
     nominal = table_1.arm.nominal

@@ -326,7 +326,7 @@ def test_a_view_of_four_points_or_more_shows_where_they_are(points: str, count: 
     assert wrong.mean() <= (0.1 if count < 6 else 0.0)  # of four points some attitudes are nearly as good
 
 
-@pytest.mark.parametrize("mount", MOUNTS)
+@pytest.mark.parametrize("mount", ["hand", pytest.param("world", marks=pytest.mark.slow)])
 def test_few_points_a_view_find_an_arm_nearly_as_well_as_all(mount: str) -> None:
     """With three to seven of the ten near points, half the equations: the tool is missed by less than twice as much."""
     errors = []
@@ -337,7 +337,7 @@ def test_few_points_a_view_find_an_arm_nearly_as_well_as_all(mount: str) -> None
     assert few < 2.0 * most and few < 1e-3, (few, most)
 
 
-@pytest.mark.parametrize("mount", MOUNTS)
+@pytest.mark.parametrize("mount", ["world", pytest.param("hand", marks=pytest.mark.slow)])
 def test_single_points_make_an_arm_surer(mount: str) -> None:
     """Twenty views of five points start the fit, and twenty of one point each join it."""
     errors = []

@@ -269,6 +269,7 @@ def test_only_what_has_a_frame_sees_another_base_and_the_tool_starts_where_it_is
     assert third.base is None and third.tool is (ur5.nominal.tool if "tool" in own else None)
 
 
+@pytest.mark.slow
 def test_a_rough_start_is_one_however_badly_the_arm_fits(ur5: Arm) -> None:
     """Whether it fits is judged later, by rows that agree; stations start where their first one is."""
     rng = np.random.default_rng(3)

@@ -48,7 +48,7 @@ def test_few_rows_end_in_a_verdict_or_in_a_sentence(
     assert result.quality.grade == "do not use" or len(result.test.joints) > 2
 
 
-@pytest.mark.parametrize("rows", [5, pytest.param(6, marks=pytest.mark.slow), 7])
+@pytest.mark.parametrize("rows", [5, *(pytest.param(rows, marks=pytest.mark.slow) for rows in (6, 7))])
 def test_five_to_seven_rows_end_in_a_verdict_that_is_not_good(
     rows: int, qiao: Arm, dynamic: Plant, tmp_path: Path
 ) -> None:

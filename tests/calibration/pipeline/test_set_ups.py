@@ -129,7 +129,7 @@ def test_two_series_of_a_real_arm_are_two_stations_and_equal_to_the_flagged_run(
         calibrate(arm, days, stations="none", choices=PLAIN)
 
 
-@pytest.mark.parametrize("moved", [False, True], ids=["one set-up", "base moved"])
+@pytest.mark.parametrize("moved", [pytest.param(False, marks=pytest.mark.slow), True], ids=["one set-up", "base moved"])
 def test_of_a_simulated_plant_days_are_one_set_up_or_as_many_as_there_were(moved: bool) -> None:
     """The hybrid arm with all its effects, seen by a tracker on two days; one set-up gives the numbers of one file."""
     plant, rng = load_plant("qiao2026"), np.random.default_rng(8)

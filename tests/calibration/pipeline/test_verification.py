@@ -577,7 +577,11 @@ def test_of_sixty_pairs_at_most_three_words_are_wrong(ur5: Arm) -> None:
 
 @pytest.mark.parametrize(
     ("old", "new", "word"),
-    [("B", "D", "still good"), ("D", "B", "still good"), ("C", "D", "outside what was measured")],
+    [
+        pytest.param("B", "D", "still good", marks=pytest.mark.slow),
+        ("D", "B", "still good"),
+        ("C", "D", "outside what was measured"),
+    ],
 )
 def test_other_series_of_a_real_arm_are_never_taken_for_another_arm(
     data_folder: Path, old: str, new: str, word: str

@@ -196,7 +196,7 @@ def test_an_inclinometer_on_a_middle_link_is_one_more_file(tmp_path: Path) -> No
     assert np.sqrt(np.mean(missed**2)) < 1.5e-4
 
 
-@pytest.mark.parametrize("ending", ["urdf", "xml"])
+@pytest.mark.parametrize("ending", ["urdf", pytest.param("xml", marks=pytest.mark.slow)])
 def test_the_robots_own_file_moves_as_the_model(
     second: tuple[Path, Robot, Result], tmp_path: Path, ending: str
 ) -> None:
@@ -382,6 +382,7 @@ def test_a_head_camera_watches_the_wrist_of_its_own_robot(tmp_path: Path, cube: 
     assert result.as_dict()["rms_px"] < 1.1 * 0.15 * np.sqrt(2.0)
 
 
+@pytest.mark.slow
 def test_a_head_camera_and_a_tracker_are_one_fit(tmp_path: Path) -> None:
     rng = np.random.default_rng(10)
     robot = drawn_robot(rng)

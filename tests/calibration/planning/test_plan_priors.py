@@ -60,7 +60,7 @@ def test_the_predicted_error_is_the_posteriors_over_the_workspace(
     assert low < plan.predicted_error < high
 
 
-@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("known", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_calibrate_states_what_was_planned(known: bool) -> None:
     """Everything as people run it; noise is found from the rows, which few rows tell within tens of per cent."""
     arm = load_arm("ur5")

@@ -77,6 +77,7 @@ def test_torchs_own_state_plays_no_part_and_is_left_alone():
     assert same(one, trained(3, BRIEF))
 
 
+@pytest.mark.slow
 def test_the_loss_falls_and_the_residual_is_learnt():
     network = trained(settings=BpnnSettings(epochs=200))
     assert len(network.loss) == 200

@@ -112,7 +112,7 @@ def test_equal_generators_give_equal_models(name: str) -> None:
     np.testing.assert_array_equal(first.predict(joints), second.predict(joints))
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "bpnn")) for name in QUICK])
 def test_a_condition_that_changes_is_learnt_only_where_it_is_given(name: str) -> None:
     """Payload scales the residual: a model of joints alone misses by its spread, one that knows it does not."""
     rng = np.random.default_rng(8)
