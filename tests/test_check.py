@@ -122,6 +122,7 @@ def test_missing_edited_exchanged_and_stray_files_are_named(folder: Path, fitted
     ]
 
 
+@pytest.mark.slow
 def test_figures_drawn_and_reports_written_later_are_of_the_run(folder: Path) -> None:
     done = CliRunner().invoke(app, ["figures", str(folder), "--format", "svg"])
     assert done.exit_code == 0, done.output

@@ -110,7 +110,8 @@ def test_a_measured_robots_calibration_fits_a_screen_and_its_verdict_names_the_e
     assert f"pickenv apply {name}.npz targets.csv" in step and lines[-1].startswith("more: --details")
 
 
-@pytest.mark.parametrize("name", ["ur5", pytest.param("ur10e", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ur5", "ur10e"])
 def test_every_number_of_the_details_is_in_the_json_and_on_the_page(data_folder: Path, name: str) -> None:
     _, result = calibrated(data_folder, name)
     told = list(leaves(json.loads(json.dumps(result.as_dict()))))

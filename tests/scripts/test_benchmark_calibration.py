@@ -28,7 +28,7 @@ def benchmark_run(data_folder, tmp_path_factory):
     if not (data_folder / "ur5_wam_jacobi2025").is_dir():
         pytest.skip(f"no data set ur5_wam_jacobi2025 in {data_folder}")
     file = tmp_path_factory.mktemp("benchmark") / "benchmark.json"
-    ended = run("--no-peers", "--runs", 3, "--data", data_folder, "--json", file)
+    ended = run("--no-peers", "--runs", 1, "--data", data_folder, "--json", file)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout, json.loads(file.read_text(encoding="utf-8"))
 

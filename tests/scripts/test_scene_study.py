@@ -22,6 +22,7 @@ def rows() -> Rows:
     return run(load_experiment(STUDY, changes=small).experiment)
 
 
+@pytest.mark.slow
 def test_error_moves_the_cup_beside_the_fruit_and_a_calibration_or_eyes_bring_it_back(rows: Rows) -> None:
     assert len(rows) == 8 and rows.where(use="LS")["met"].all()
 
@@ -35,6 +36,7 @@ def test_error_moves_the_cup_beside_the_fruit_and_a_calibration_or_eyes_bring_it
     assert rows.where(error_mm=10.0, use="LS")["success"].sum() >= rows.where(error_mm=10.0, use="raw")["success"].sum()
 
 
+@pytest.mark.slow
 def test_the_same_arm_and_fruit_come_again(rows: Rows) -> None:
     changes = {"arm": 1, "fruit": 1, "robot": ["ur5e"], "error_mm": [10.0]}
     again, before = run(load_experiment(STUDY, changes=changes).experiment), rows.where(error_mm=10.0)

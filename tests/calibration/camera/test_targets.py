@@ -1,6 +1,7 @@
 """Targets of points in space: where they stand in a view, and what a description may say of them."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -168,9 +169,10 @@ def picture_of_cube(position: Array, rotation: Array) -> Array:
     return np.asarray(cv2.resize(picture, (640, 480), interpolation=cv2.INTER_AREA))
 
 
-@pytest.fixture
-def cube_in_hand(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def cube_taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Pictures of a cube on a UR5's flange, as a camera in the world takes them, with the joints beside them."""
+    folder = tmp_path_factory.mktemp("cube")
     rng, nominal = np.random.default_rng(4), load_arm("ur5").nominal
     joints, rows = np.array([0.3, -1.2, 1.4, -0.6, 1.2, 0.2]), ["picture," + ",".join(f"a{i}" for i in range(1, 7))]
     middle = forward(nominal, joints).position
@@ -179,9 +181,9 @@ def cube_in_hand(tmp_path: Path) -> Path:
         row = joints + rng.uniform(-1.0, 1.0, 6) * (0.1, 0.1, 0.1, 0.5, 0.5, 0.5)
         hand = forward(nominal, row)
         place = (hand.position - middle) @ camera + (0.0, 0.0, 0.55)
-        cv2.imwrite(str(tmp_path / f"{view}.png"), picture_of_cube(place, camera.T @ hand.rotation))
+        cv2.imwrite(str(folder / f"{view}.png"), picture_of_cube(place, camera.T @ hand.rotation))
         rows.append(f"{view}.png," + ",".join(f"{np.degrees(angle):.9f}" for angle in row))
-    (tmp_path / "views.csv").write_text("\n".join(rows), encoding="utf-8")
+    (folder / "views.csv").write_text("\n".join(rows), encoding="utf-8")
     points = np.concatenate([corners_of_face(turn, TAG) for turn in FACES])
     lens = dict(zip(("fx", "fy", "cx", "cy", "width", "height"), [*WIDE.values[:4], *WIDE.size], strict=True))
     sections = {
@@ -198,8 +200,14 @@ def cube_in_hand(tmp_path: Path) -> Path:
         f"[{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())
         for name, table in sections.items()
     ]
-    (tmp_path / "views.toml").write_text("\n".join(lines), encoding="utf-8")
-    return tmp_path
+    (folder / "views.toml").write_text("\n".join(lines), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def cube_in_hand(cube_taken: Path, tmp_path: Path) -> Path:
+    """A copy of these pictures, to be changed."""
+    return Path(shutil.copytree(cube_taken, tmp_path / "cube"))
 
 
 def test_a_cube_of_tags_is_found_in_pictures(cube_in_hand: Path) -> None:

@@ -85,7 +85,7 @@ def on_torch(compensator, joints):
     iterations=st.integers(1, 3),
     seed=st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_the_model_never_expects_the_command_farther_off_than_the_target(arm, size, iterations, seed):
     """However wrong the model, at singular poses and at joint limits, on every executor."""
     nominal, rng = load_arm(arm).nominal, np.random.default_rng(seed)

@@ -276,6 +276,7 @@ def test_what_parameters_add_counts() -> None:
     assert within95(joints[:19], squares[:19], np.zeros(19), None) is None
 
 
+@pytest.mark.slow
 def test_new_reaches_of_an_arm_that_errs_more_where_it_is_stretched_lie_within() -> None:
     """The report, the file and the figures say the same."""
     rng, arm = np.random.default_rng(5), load_arm("ur5")

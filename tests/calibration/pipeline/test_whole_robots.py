@@ -428,6 +428,7 @@ def test_two_cameras_and_a_tracker_are_one_fit(tmp_path: Path, most: int) -> Non
     assert sum(name.startswith("tool") for name in own) == 6  # the ball's; both cameras see the arm's own tool
 
 
+@pytest.mark.slow
 def test_the_payload_in_hand_belongs_to_the_weight_that_bends_the_torso(tmp_path: Path) -> None:
     """Told of 3 kg in the left hand, the torso's compliance comes out right; untold, it is too large for the weight."""
     rng, payload = np.random.default_rng(11), 3.0
