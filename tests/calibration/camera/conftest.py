@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from pickenv.arm import Array, Pose
@@ -50,10 +51,12 @@ def render(
 
 @cache
 def rays_of(lens: Lens) -> Array:
-    """The rays of all samples of a picture ``(h s, w s, 3)``, with z = 1."""
+    """The rays of all samples of a picture ``(h s, w s, 3)``, with z = 1: splines through those of every few pixels."""
     x, y = ((np.arange(side)[:, None] + (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5).ravel() for side in lens.size)
-    pixels = np.stack(np.meshgrid(x, y), axis=-1)
-    return np.concatenate([undistorted(lens.values, pixels), np.ones((*pixels.shape[:2], 1))], axis=-1)
+    few, some = (np.linspace(places[0], places[-1], 201) for places in (x, y))
+    across, down = np.moveaxis(undistorted(lens.values, np.stack(np.meshgrid(few, some), axis=-1)), -1, 0)
+    rays = [RectBivariateSpline(some, few, values)(y, x) for values in (across, down)]
+    return np.stack([*rays, np.ones_like(rays[0])], axis=-1)
 
 
 @pytest.fixture(scope="session")

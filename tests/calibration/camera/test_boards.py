@@ -60,7 +60,7 @@ def test_a_chessboard_is_numbered_from_its_black_corner_however_it_is_held() -> 
     np.testing.assert_allclose(turned, np.array(picture.shape[::-1]) - 1 - upright, atol=0.1)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("charuco", marks=pytest.mark.slow), "chessboard", "apriltags"])
+@pytest.mark.parametrize("kind", BOARDS)
 def test_rendered_corners_are_found_as_surely_as_is_said(
     kind: str, rendered: Callable[..., np.ndarray], webcam: Lens
 ) -> None:

@@ -59,7 +59,7 @@ SPOILT = {
 
 
 @pytest.mark.parametrize("arm", ["qiao2026", pytest.param("ur5", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("positions", [False, True])
+@pytest.mark.parametrize("positions", [pytest.param(False, marks=pytest.mark.slow), True])
 @pytest.mark.parametrize("fault", SPOILT)
 def test_data_that_cannot_be_this_arms_are_refused(exact, arm, positions, fault):
     nominal = load_arm(arm).nominal
