@@ -14,9 +14,9 @@ def short():
 
     def build(algorithm: str = "ppo", **changes) -> Training:
         goal = algorithm != "ppo"
-        parameters = {"n_envs": 4, "learning_starts": 250, "gradient_steps": 1} if goal else {"n_envs": 8}
-        arguments = {"plant": "geometry_only", "feedback": "camera"}
-        options = {"steps": 480 if goal else 1920, "arguments": arguments, "parameters": parameters}
+        parameters = {"n_envs": 4, "learning_starts": 90, "gradient_steps": 1} if goal else {"n_envs": 8}
+        arguments = {"plant": "geometry_only", "feedback": "camera"} | ({"max_episode_steps": 20} if goal else {})
+        options = {"steps": 160 if goal else 960, "arguments": arguments, "parameters": parameters}
         options |= {"env_id": "pickenv/ReachGoal-v0" if goal else "pickenv/Reach-v0"}
         return Training(algorithm, **(options | changes))
 

@@ -230,6 +230,7 @@ def test_a_training_refuses_files_that_have_changed_since_it_was_begun(files, ca
                 raise Stopped
 
     monkeypatch.setattr("pickenv.agents.training.training.save_checkpoint", save)
+    monkeypatch.setattr("pickenv.agents.training.training_setup.judge", lambda policy, training: {"mean_mm": 0.0})
     with pytest.raises(Stopped if moment == "between" else InputError, match=None if moment == "between" else said):
         train(training, out)
     with pytest.raises(InputError, match=said) as caught:

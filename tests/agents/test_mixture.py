@@ -72,7 +72,7 @@ class Killed(Exception):
 def test_a_mixture_is_learnt_and_goes_on_to_the_bit(algorithm: str, tmp_path, monkeypatch) -> None:
     """Checkpoints fall between the picks of runs, for the recurrent policy, and between runs."""
     how = FEW | {"n_steps": 8 if algorithm == "ppo_lstm" else 20}
-    training = mixed(algorithm, steps=3 * 5 * how["n_steps"], checkpoint_every=5 * how["n_steps"], parameters=how)
+    training = mixed(algorithm, steps=2 * 5 * how["n_steps"], checkpoint_every=5 * how["n_steps"], parameters=how)
     monkeypatch.setattr(module.training_setup, "judge", lambda policy, training: {"mean_mm": 0.0})
     whole = train(training, tmp_path / "whole").policy
     save = module.save_checkpoint

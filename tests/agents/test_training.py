@@ -61,8 +61,8 @@ def test_two_runs_of_one_seed_give_equal_weights(short, tmp_path, algorithm):
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_resumed_run_ends_like_an_uninterrupted_one(short, tmp_path, monkeypatch, algorithm):
-    every = 148 if algorithm != "ppo" else 480
-    training = short(algorithm, checkpoint_every=every, evaluate_every=every)
+    steps = 160 if algorithm != "ppo" else 1440
+    training = short(algorithm, steps=steps, checkpoint_every=steps // 3, evaluate_every=steps // 3)
     train(training, tmp_path / "whole")
     with monkeypatch.context() as patch:
         stop_after(patch, 2)
@@ -127,7 +127,7 @@ def test_a_killed_training_goes_on(tmp_path, hows):
 
 def test_sac_learns_from_joined_observations_too(tmp_path):
     parameters = {"n_envs": 4, "learning_starts": 100, "gradient_steps": 1}
-    done = train(Training("sac", steps=400, arguments={"plant": "ideal"}, parameters=parameters), tmp_path)
+    done = train(Training("sac", steps=160, arguments={"plant": "ideal"}, parameters=parameters), tmp_path)
     assert np.isfinite(done.evaluations[-1]["mean_mm"]) and not done.policy.scaling.goal
 
 

@@ -252,8 +252,8 @@ def test_sac_with_hindsight_trains():
     model = SAC(
         "MultiInputPolicy", envs, replay_buffer_class=HerReplayBuffer, learning_starts=60, batch_size=32, seed=0
     )
-    model.learn(120)
-    assert model.num_timesteps >= 120
+    model.learn(80)
+    assert model.num_timesteps >= 80
 
 
 def test_a_compensator_is_put_between(compensator):

@@ -50,7 +50,10 @@ SINGLE = {"field, arm per episode": 1e-6}
 ROUNDED = 1e-12
 """How far apart a compiled step may be from NumPy's."""
 STEPS = 9
-SIZES = (("Reach", 1), ("Reach", 7), ("ReachGoal", 2))
+MODES = list(AutoresetMode)
+QUICK = [("Reach", 3, MODES[i % 3], variant) for i, variant in enumerate(VARIANTS)]
+SIZES = (("Reach", 3), ("Reach", 1), ("Reach", 7), ("ReachGoal", 2))
+REST = [case for size in SIZES for mode in MODES for name in VARIANTS if (case := (*size, mode, name)) not in QUICK]
 
 
 def native(count, name="Reach", executor="numpy", **arguments):
@@ -71,10 +74,8 @@ def synchronous(count, mode, name="Reach", max_episode_steps=STEPS, **arguments)
     return SyncVectorEnv([single] * count, autoreset_mode=mode)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("mode", list(AutoresetMode), ids=str)
 @pytest.mark.parametrize(
-    ("name", "count"), [("Reach", 3), *(pytest.param(*each, marks=pytest.mark.slow) for each in SIZES)]
+    ("name", "count", "mode", "variant"), [*QUICK, *(pytest.param(*case, marks=pytest.mark.slow) for case in REST)]
 )
 def test_native_and_synchronous_are_equal_to_the_bit_when_episodes_end_at_different_times(name, count, mode, variant):
     arguments = EARLY | VARIANTS[variant]
@@ -99,7 +100,10 @@ def test_native_and_synchronous_are_equal_to_the_bit_when_episodes_end_at_differ
     assert len(set(ends)) > 1
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(
+    "variant",
+    [pytest.param(name, marks=pytest.mark.slow) if name.startswith("orchard, ") else name for name in VARIANTS],
+)
 def test_the_compiled_step_is_numpys_up_to_roundings(variant):
     pytest.importorskip("llvmlite")
     arguments = EARLY | VARIANTS[variant] | {"max_episode_steps": STEPS}
@@ -310,6 +314,7 @@ def test_the_compiled_step_gives_what_the_eager_one_gives():
         np.testing.assert_allclose(a[1], b[1], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_no_torch_is_needed_on_numpy():
     code = (
         "import sys, gymnasium as gym, pickenv; "

@@ -200,6 +200,7 @@ KILLED = """
 """
 
 
+@pytest.mark.slow
 def test_an_experiment_killed_at_any_moment_goes_on_and_ends_equal(tmp_path, monkeypatch):
     script = tmp_path / "slow_arms.py"
     script.write_text(textwrap.dedent(KILLED), encoding="utf-8")
@@ -226,6 +227,7 @@ def dying(marks, number):
     return number
 
 
+@pytest.mark.slow
 def test_pieces_of_a_process_that_dies_are_tried_again(tmp_path):
     from functools import partial
 

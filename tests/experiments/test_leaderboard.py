@@ -62,7 +62,7 @@ def test_every_training_has_its_own_mean_and_a_table_of_them(tmp_path, monkeypat
         "ppo": replace(policy_tables.RECIPES["ppo"], steps=8, parameters={"n_envs": 2, "n_steps": 4, "batch_size": 8})
     }
     monkeypatch.setattr(policy_tables, "RECIPES", short)
-    settings = replace(SMALL, compensations=("raw",), plants=("rung:orchard",), episodes=1)
+    settings = replace(SMALL, policies=(), compensations=("raw",), plants=("rung:orchard",), episodes=1)
     board = policy_tables.run_leaderboard(settings, tmp_path, trainings=2)
     rows = [row for row in board["reach"] if row["policy"] == "ppo"]
     assert len(rows) == len(settings.grippers) and rows[0]["trainings"] == 2

@@ -58,6 +58,7 @@ SMALL = PolicySettings(
     episodes=4,
     plan=CalibrationPlan(60, 100, 10),
 )
+SLOWEST = ("servo", "ls")
 
 
 @pytest.fixture(scope="module")
@@ -128,9 +129,12 @@ def test_residual_models_help_beyond_least_squares_and_several_processes_find_th
 def test_an_evaluation_is_reproducible_and_its_calibrations_are_kept(episodes, folder):
     before = sorted(path.name for path in folder.glob("*.npz"))
     assert len(before) == 10
-    again = run_policies(replace(SMALL, policies=("oracle", "servo")), cache=folder)
-    for name, values in episodes.where(policy=("oracle", "servo")).columns.items():
-        np.testing.assert_array_equal(again[name], values)
+    again = run_policies(SMALL, cache=folder, fits=lambda policy, compensation, **_: (policy, compensation) != SLOWEST)
+    cells = again.levels("policy", "compensation")
+    assert len(cells) == 4
+    for policy, behind in cells:
+        for name, values in episodes.where(policy=policy, compensation=behind).columns.items():
+            np.testing.assert_array_equal(again.where(policy=policy, compensation=behind)[name], values)
     assert sorted(path.name for path in folder.glob("*.npz")) == before
 
 
@@ -429,9 +433,10 @@ def test_trainings_of_several_seeds_are_one_policy(tmp_path):
 
 RUNGS = replace(
     SMALL,
-    policies=("scripted", "servo"),
+    policies=("scripted",),
     compensations=("raw",),
     plants=("rung:orchard", "rung:own_eyes"),
+    arms=5,
     seeds=(0, 1),
 )
 
@@ -456,9 +461,7 @@ def test_on_a_rung_every_seed_takes_other_arms_and_what_the_rung_fixes_is_fixed(
 
 
 def test_on_a_rung_every_seed_s_arms_are_behind_their_own_calibrations() -> None:
-    settings = replace(
-        RUNGS, plants=("rung:coarse",), compensations=("raw", "ls"), arms=2, policies=("scripted", "adaptive")
-    )
+    settings = replace(RUNGS, plants=("rung:coarse",), compensations=("raw", "ls"), arms=2)
     rows = run_policies(settings)
     for seed in settings.seeds:
         raw, ls = (rows.where(seed=seed, policy="scripted", compensation=name)["error_mm"] for name in ("raw", "ls"))
@@ -466,7 +469,7 @@ def test_on_a_rung_every_seed_s_arms_are_behind_their_own_calibrations() -> None
 
 
 def test_a_rung_without_error_or_with_fewer_arms_is_refused() -> None:
-    with pytest.raises(InputError, match="rung:ideal has 1 arm to be judged on; 20 were asked for"):
+    with pytest.raises(InputError, match="rung:ideal has 1 arm to be judged on; 10 were asked for"):
         run_policies(replace(RUNGS, plants=("rung:ideal",)))
     with pytest.raises(InputError, match="difficulty is 'hard'; give one of ideal, fine"):
         run_policies(replace(RUNGS, plants=("rung:hard",)))

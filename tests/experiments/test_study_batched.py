@@ -37,9 +37,7 @@ def compare(config, agreement=AGREEMENT):
 
 
 def test_batches_agree_with_arms_one_by_one(study_file):
-    config = load_study(
-        study_file(("arms = 12", "arms = 30"), ("chunk = 5", "chunk = 17"), ("fruit = 8", "fruit = 15"))
-    )
+    config = load_study(study_file(("arms = 12", "arms = 8")))
     trackers = (Noise(0.015, 0.012), Noise(0.0, 0.0), Noise(0.2, 0.0))
     compare(replace(config, noise=trackers, it_grades=(12,), poses=(12, 25)))
 
@@ -63,8 +61,8 @@ def test_ordinary_arms_are_finished_in_the_batch(study_file, monkeypatch):
     )
     for setting in protocol.settings:
         if setting.method == "ls":
-            given = [protocol.circumstances(number) for number in range(8)]
-            judge_batch(protocol, [setting], protocol.draw(setting, range(8)), given)[0]
+            given = [protocol.circumstances(number) for number in range(4)]
+            judge_batch(protocol, [setting], protocol.draw(setting, range(4)), given)[0]
             alone = judge_batch(protocol, [setting], protocol.draw(setting, range(1)), given[:1])[0]
             assert alone["position"].shape == (1, protocol.config.fruit)
     assert not handed
@@ -133,7 +131,7 @@ def test_hundreds_of_batched_arms_agree_in_many_settings(study_file, plant):
 @pytest.mark.parametrize("plant", ["orchard", "field", "geometry_only", "li2016_slave"])
 def test_batches_agree_for_other_plants(study_file, plant):
     config = load_study(study_file(('"qiao2026"', f'"{plant}"'), ("[0.0, 0.5]", "[0.0]"), ("[8, 14]", "[12]")))
-    compare(replace(config, arms=5, fruit=5, poses=(20,)), SINGLE if plant == "field" else AGREEMENT)
+    compare(replace(config, arms=3, fruit=4, poses=(20,)), SINGLE if plant == "field" else AGREEMENT)
 
 
 @pytest.mark.parametrize(("degrees", "radius"), [(2.0, "1.0"), (2.0, "6.0"), (90.0, "1.0")])
@@ -150,7 +148,7 @@ def test_arms_far_from_their_design_have_the_same_status(study_file, tmp_path, d
         ("radius_mm = 1.0", f"radius_mm = {radius}"),
     )
     config = load_study(study_file(*changes))
-    table = compare(replace(config, arms=12, chunk=12, payload_kg=(0.0,), methods=("ls",)))
+    table = compare(replace(config, arms=6, chunk=6, payload_kg=(0.0,), methods=("ls",)))
     assert len(set(table["status"].to_pylist())) > 1
 
 
@@ -161,7 +159,7 @@ def test_an_arm_is_handed_over_rather_than_left_unconverged(study_file, monkeypa
 
 
 def test_blocks_change_nothing_but_rounding(study_file, monkeypatch):
-    protocol = prepared_study(replace(load_study(study_file()), chunk=12, it_grades=(12,)))
+    protocol = prepared_study(replace(load_study(study_file()), it_grades=(12,), poses=(12,)))
     whole = evaluate_chunk(protocol, 0, judge=judge_batch).arrow()
     monkeypatch.setitem(study_batched.BLOCKS, "cpu", 50)  # two arms at a time
     parts = evaluate_chunk(protocol, 0, judge=judge_batch).arrow()

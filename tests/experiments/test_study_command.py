@@ -15,7 +15,7 @@ def test_a_study_prints_writes_and_sums_up(study_file, tmp_path, typed, monkeypa
     monkeypatch.setenv("COLUMNS", "80")
     ran = typed(
         "study",
-        study_file(),
+        study_file(("arms = 12", "arms = 4"), ("chunk = 5", "chunk = 3")),
         "--details",
         "--executor",
         "serial",
@@ -28,16 +28,16 @@ def test_a_study_prints_writes_and_sums_up(study_file, tmp_path, typed, monkeypa
     assert ran.returncode == 0, ran.stderr
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text(encoding="utf-8"))
-    assert summary["arms"] == 12 and summary["executor"] == "serial" and summary["simulated"] is True
+    assert summary["arms"] == 4 and summary["executor"] == "serial" and summary["simulated"] is True
     assert re.fullmatch("[0-9a-f]{64}", summary["table_sha256"]) and summary["seconds"] > 0
     assert len(summary["yield"]) == 12
     for row in summary["yield"]:
-        assert row["arms"] == 12 and 0 <= row["yield_low"] <= row["yield"] <= row["yield_high"] <= 1
+        assert row["arms"] == 4 and 0 <= row["yield_low"] <= row["yield"] <= row["yield_high"] <= 1
     assert {row["quantity"] for row in summary["quantiles_mm"]} >= {"error_mean_mm", "error_p95_mm"}
     for word in ("yield", "IT", "(mm)", "(kg)", "Wilson 95 % interval", "within 1 mm", "simulated", "all class medium"):
         assert word in ran.stdout
-    assert "12 arms can tell a yield to within about ±" in " ".join(ran.stdout.split())
-    assert "12 arms are too few to divide their variance" in ran.stdout
+    assert "4 arms can tell a yield to within about ±" in " ".join(ran.stdout.split())
+    assert "4 arms are too few to divide their variance" in ran.stdout
     assert max(len(line) for line in ran.stdout.splitlines() if line[:5] not in ("wrote", "seria")) <= 80
     assert summary["table_sha256"] in ran.stdout
 

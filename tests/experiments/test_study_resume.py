@@ -30,19 +30,15 @@ def folder(tmp_path):
     return tmp_path / "out"
 
 
-def test_a_study_killed_half_way_ends_with_the_same_table(study_file, tmp_path, chunk_file):
-    changes = [("arms = 12", "arms = 16"), ("chunk = 5", "chunk = 1"), ("[8, 14]", "[12]"), ("[0.0, 0.5]", "[0.0]")]
-    path = study_file(*changes, ("[12, 20]", "[20]"))
-    config, folder = load_study(path), tmp_path / "killed"
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        [*COMMAND, str(path), "--executor", "serial", "--no-report", "--out", str(folder)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=environment,
-    ) as study:  # fmt: skip
-        while study.poll() is None and not chunk_file(folder, 2).exists():
-            time.sleep(0.01)
-        assert study.poll() is None, study.stderr.read()
-        os.kill(study.pid, signal.SIGKILL)
+def test_a_study_stopped_half_way_ends_with_the_same_table(config, folder, tmp_path):
+    """A kill, which nothing can answer, is asked for below."""
+
+    def stop(done: int, arms: int) -> None:
+        if done >= 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_study(config, folder, executor="serial", progress=stop)
     kept = chunks_of(folder)
     assert 0 < len(kept) < len(config.chunks())
     assert not (folder / "summary.json").exists()

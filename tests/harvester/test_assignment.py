@@ -87,10 +87,10 @@ def test_an_optimised_plan_for_20_fruit_is_within_a_tenth_of_the_bound(machine):
     pytest.importorskip("ortools")
     rng = np.random.default_rng(20)
     shares = []
-    for _ in range(3):
+    for _ in range(2):
         work = zone(machine, rng, 20)
         shares.append(timetable(work, cp_sat(work)).makespan / lower_bound(work))
-    assert np.mean(shares) <= 1.10
+    assert max(shares) <= 1.10
 
 
 def test_search_beats_the_greedy_baselines_on_average(machine):

@@ -151,8 +151,8 @@ def test_missed_fruit_on_a_border_is_tried_again_in_the_next_zone(true, by_li):
 def test_fruit_in_clusters_is_lost_more_often(true):
     clusters = load_orchard(fruit_map="v_trellis", per_metre=12.0)
     way = Strategy("calibrated", known(true), "search")
-    hung = measures(true, work_trees(true, way, MODEL, clusters, load_grid(), count=8, seed=2, vision="ideal"))
-    single = measures(true, trees(true, way, 8))
+    hung = measures(true, work_trees(true, way, MODEL, clusters, load_grid(), count=4, seed=2, vision="ideal"))
+    single = measures(true, trees(true, way, 4))
     assert hung["recovery"].value < single["recovery"].value - 0.05
 
 
@@ -185,7 +185,7 @@ def test_more_arms_pick_a_heavy_crop_faster():
     for arms in (1, 3):
         true = load_true_machine(load_machine(slaves=arms))
         done = work_trees(
-            true, best(true), MODEL, load_orchard(per_metre=40.0), load_grid(), count=3, seed=4, vision="ideal"
+            true, best(true), MODEL, load_orchard(per_metre=40.0), load_grid(), count=2, seed=4, vision="ideal"
         )
         speeds.append(measures(true, done)["picks_per_hour"].value)
     assert speeds[1] > 1.4 * speeds[0]

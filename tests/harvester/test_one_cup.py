@@ -101,13 +101,12 @@ def test_fruit_that_is_damaged_counts_as_lost_and_costs_what_it_would_have_broug
 
 def test_the_shipped_cup_damages_fruit_as_often_as_its_file_says():
     task, state = zone(0, push=0.0)
-    rng, tips, fates = np.random.default_rng(0), np.full((1, task.machine.arms, 3), AWAY), []
-    for _ in range(10_000):
+    rng, arms, fates = np.random.default_rng(0), task.machine.arms, []
+    for _ in range(10_000 // arms):
         state.status[:], state.busy[:], state.tried[:] = batch.LOST, 0, -1
-        state.status[0, 0] = batch.HANGING
-        tips[0, 0] = state.fruit[0, 0]
-        batch.attempts(task, state, tips, [rng])
-        fates.append(int(state.status[0, 0]))
+        state.status[0, :arms] = batch.HANGING
+        batch.attempts(task, state, state.fruit[:, :arms], [rng])
+        fates += state.status[0, :arms].tolist()
     kept, lost = (np.mean(np.array(fates) == fate) for fate in (batch.COLLECTED, batch.LOST))
     wanted = task.model.cut_success * (1 - task.model.undamaged)
     assert abs(lost - wanted) < 4 * np.sqrt(wanted / 10_000)

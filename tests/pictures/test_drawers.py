@@ -99,7 +99,7 @@ def test_pictures_of_any_size_with_any_number_of_bodies_follow_one_another(draw)
     few, many = Stage(EYE, balls=(balls((0.0, 0.0, 0.0)),)), balls(*rng.normal(0.0, 0.4, (300, 3)))
     ground = chequered((-2, -2), (2, 2), -0.5, 0.05, ((10, 160, 20), (20, 190, 30)))
     first = draw(few)
-    assert draw(Stage(EYE, balls=(many,), meshes=(ground,), size=(1301, 803))).shape == (803, 1301, 3)
+    assert draw(Stage(EYE, balls=(many,), meshes=(ground,), size=(701, 403))).shape == (403, 701, 3)
     np.testing.assert_array_equal(draw(few), first)
     odd = draw(Stage(EYE, size=(301, 203))).astype(int)
     assert np.ptp(odd, axis=1).max() <= 1 and np.ptp(odd, axis=0).min() > 5

@@ -124,12 +124,12 @@ def test_arms_are_drawn_with_its_spread_and_as_without_it(path):
 
 def test_it_has_its_row_in_tables(path, tmp_path, capsys):
     plant = load_plant(path)
-    shares = effect_shares(plant, random_joints(plant.arm.nominal, 20, np.random.default_rng(0)))
+    shares = effect_shares(plant, random_joints(plant.arm.nominal, 5, np.random.default_rng(0)))
     assert (
         shares["alone"]["belt_creep"]["mean"] > 1e-3
         and shares["without"]["belt_creep"]["mean"] != shares["all"]["mean"]
     )
-    effects_command(str(path), reaches=5, json_file=tmp_path / "effects.json")
+    effects_command(str(path), reaches=2, json_file=tmp_path / "effects.json")
     assert "belt creep" in capsys.readouterr().out
     assert "belt_creep" in json.loads((tmp_path / "effects.json").read_text())["alone"]
 

@@ -13,17 +13,13 @@ Q = np.array([0.2, 0.3, 0.4, 0.3, 0.1, 0.5])
 DRAWN = ["orchard", "field", "qiao2026"]
 
 
-def softness(name: str) -> float:
-    """How many times softer than as shipped the joints of a plant are."""
-    stiffness = (load_plant(each).effect("joint_compliance").stiffness[0] for each in ("orchard", name))
-    return float(np.divide(*stiffness))
-
-
 def test_a_number_is_one_draw_whoever_asks_and_draws_fill_the_range() -> None:
-    times = [1.0 / softness(f"orchard#{draw}") for draw in range(60)]
-    assert times == [1.0 / softness(f"orchard#{draw}") for draw in range(60)]
+    plants, again = ([load_plant(f"orchard#{draw}") for draw in range(count)] for count in (60, 10))
+    times = [plant.effect("joint_compliance").stiffness[0] for plant in plants]
+    times = np.divide(times, load_plant("orchard").effect("joint_compliance").stiffness[0]).tolist()
+    assert [plant.effects for plant in again] == [plant.effects for plant in plants[:10]]
     assert 0.5 <= min(times) < 0.55 and 1.45 < max(times) <= 1.5
-    tilts = [load_plant(f"orchard#{draw}").effect("base_tilt").stiffness[0] for draw in range(60)]
+    tilts = [plant.effect("base_tilt").stiffness[0] for plant in plants]
     assert abs(np.corrcoef(times, tilts)[0, 1]) < 0.3, "groups are drawn one by one"
 
 

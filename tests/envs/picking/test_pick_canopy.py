@@ -155,7 +155,7 @@ def test_fruit_is_drawn_until_some_is_in_reach_but_not_for_ever(env, given, aske
     assert len(calls) == asked
 
 
-@pytest.mark.parametrize("vision", ["rendered", "measured_errors", "ideal"])
+@pytest.mark.parametrize("vision", [pytest.param("rendered", marks=pytest.mark.slow), "measured_errors", "ideal"])
 def test_an_arm_sees_with_lis_stereo_pair_alone_as_beside_another_to_the_bit(vision):
     given = {"vision": vision, "fruit": 6.0} | ({} if vision == "ideal" else {"detector": "circles"})
     together = gym.make_vec("pickenv/Pick-v0", num_envs=2, **given)
@@ -174,12 +174,9 @@ def test_an_arm_sees_with_lis_stereo_pair_alone_as_beside_another_to_the_bit(vis
 def test_what_is_seen_of_fruit_follows_the_canopys_own_table():
     """Many draws of one fruit: located and misplaced as `pickenv.orchard.sighted` says at its depth."""
     setting = make_pick(looks=1, vision="measured_errors")[1]
-    place = np.array([[0.0, 0.2, (setting.canopy.bottom + setting.canopy.top) / 2]])
-    rng, found = np.random.default_rng(0), []
-    for _ in range(3000):
-        believed, visible = looked_at(setting, rng, place, np.array([0.06]))
-        found.append([*(believed - place)[0], visible[0]])
-    found = np.array(found)
+    place = np.tile([0.0, 0.2, (setting.canopy.bottom + setting.canopy.top) / 2], (3000, 1))
+    believed, visible = looked_at(setting, np.random.default_rng(0), place, np.full(3000, 0.06))
+    found = np.column_stack([believed - place, visible])
     table = setting.eyes.errors
     row = int(np.searchsorted(table.edges, setting.canopy.standoff + 0.2))
     assert found[:, 3].mean() == pytest.approx(table.recall[row], abs=0.03)

@@ -96,7 +96,7 @@ def test_an_increment_is_the_joints_speed_for_one_period():
 
 def test_joint_noise_is_as_large_as_asked_and_moves_nothing():
     found = []
-    for seed in range(40):
+    for seed in range(20):
         noisy, same = trial(seed, plant="ideal", joint_noise=2.0)
         quiet, truth = trial(seed, plant="ideal")
         np.testing.assert_array_equal(commands(truth), commands(same))
