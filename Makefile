@@ -2,7 +2,7 @@
 # installs Chromium and a graphics driver with apt where they are missing.
 #   make demo                 calibrate the arm, pick with it, look at the error: runs/demo
 #   make test                 style, types, tests
-#   make test-slow            what takes more than two seconds: journeys, whole robots, every page's lines
+#   make test-slow            what takes more than a second: journeys, whole robots, every page's lines
 #   make test-thorough         long forms of checks that also run short: hundreds of arms, thousands of draws; weekly
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
 #   make test-lowest          arms and calibration with the lowest versions that pyproject.toml promises: .venv-lowest
