@@ -15,7 +15,6 @@ from typing import Any, cast
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -174,27 +173,10 @@ def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, to
     start, error = start[order], error[order]
     colours = viridis(np.linalg.norm(error, axis=-1) * 1e3 / top) / 255.0
     tail, tip = view.flat(start), view.flat(start + gain * error)
-    outlines = list(_arrow_outlines(tail, tip, 0.011 * view.radius))
     axes.scatter(tail[:, 0], tail[:, 1], s=2.2, color=style.SOFT, linewidths=0.0, zorder=2.0)
-    look: dict[str, Any] = {"edgecolors": style.SOFT, "linewidths": 0.3, "zorder": 3.0, "clip_on": False}
-    axes.add_collection(PolyCollection(outlines, facecolors=colours, **look))
-
-
-def _arrow_outlines(tail: Array, tip: Array, width: float) -> Array:
-    """Return the outlines ``(N, 7, 2)`` of flat arrows with filled heads; a short arrow is a scaled-down long arrow.
-
-    The arrows lead from ``tail`` to ``tip``, each ``(N, 2)``. All lengths, also the shaft's ``width``, are in the axes'
-    unit.
-    """
-    along = tip - tail
-    length = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
-    along = along / length
-    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
-    half = np.minimum(width / 2.0, 0.16 * length) + 0.1 * width
-    head = np.minimum(3.4 * half * 2.0, 0.6 * length)
-    neck = tip - head * along
-    side, wing = half * across, 2.6 * half * across
-    return np.stack([tail - side, neck - side, neck - wing, tip, neck + wing, neck + side, tail + side], axis=1)
+    look: dict[str, Any] = {"facecolors": colours, "edgecolors": style.SOFT, "linewidths": 0.3, "zorder": 3.0}
+    look |= {"units": "xy", "width": 0.013 * view.radius, "headlength": 3.5, "headaxislength": 3.5}
+    axes.quiver(*tail.T, *(tip - tail).T, **ARROWS | look)
 
 
 def _box(axes: Axes, view: _View) -> None:

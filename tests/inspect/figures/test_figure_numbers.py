@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.container import BarContainer, ErrorbarContainer
 from matplotlib.figure import Figure
@@ -253,7 +252,7 @@ def test_error_fields(comparison: Comparison) -> None:
     for axes, policy in zip(panels, comparison.policies, strict=True):
         mm = [1e3 * np.sqrt(x * x + y * y + z * z) for x, y, z in policy.field_errors]
         assert f"mean {sum(mm) / len(mm):.2f} mm, max {max(mm):.2f} mm" in [t.get_text() for t in axes.texts]
-        (arrows,) = [c for c in axes.collections if isinstance(c, PolyCollection)]
+        (arrows,) = [c for c in axes.collections if isinstance(c, Quiver)]
         lengths = 1e3 * np.linalg.norm(policy.field_errors, axis=1)
         known = {tuple(c) for c in np.asarray(viridis(lengths / top) / 255.0)}
         assert {tuple(c[:3]) for c in arrows.get_facecolor()} <= known
@@ -274,11 +273,10 @@ def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison
     ends = np.stack([low, low + comparison.grid.size])
     corners = {(x, y, z): (ends[[x, y, z], [0, 1, 2]] - centre) @ plane for x in (0, 1) for y in (0, 1) for z in (0, 1)}
     for axes, policy in zip(figure.axes, comparison.policies, strict=False):
-        (arrows,) = [c for c in axes.collections if isinstance(c, PolyCollection)]
-        outlines = np.array([path.vertices[:7] for path in arrows.get_paths()])
+        (arrows,) = [c for c in axes.collections if isinstance(c, Quiver)]
         start, error = comparison.grid.points[shown], policy.field_errors[shown]
-        np.testing.assert_allclose(outlines[:, [0, 6]].mean(axis=1), (start - centre) @ plane, atol=1e-9)
-        np.testing.assert_allclose(outlines[:, 3], (start + gain * error - centre) @ plane, atol=1e-9)
+        np.testing.assert_allclose(arrows.get_offsets(), (start - centre) @ plane, atol=1e-9)
+        np.testing.assert_allclose(np.stack([arrows.U, arrows.V], axis=-1), gain * error @ plane, atol=1e-9)
         colours = viridis(1e3 * np.linalg.norm(error, axis=1) / top) / 255.0
         np.testing.assert_allclose(arrows.get_facecolor()[:, :3], colours)
         drawn = {tuple(np.round(line.get_xydata().ravel(), 9)) for line in axes.lines[:12]}

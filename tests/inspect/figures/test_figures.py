@@ -3,6 +3,7 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -10,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 
 from pickenv.base import InputError
 from pickenv.harvester import Measure
@@ -198,7 +201,6 @@ def test_wide_decades_are_written_as_plain_numbers() -> None:
 
 
 def test_error_fields_share_view_scale_and_gain(comparison: Comparison, tmp_path: Path) -> None:
-    from matplotlib.collections import PolyCollection
     from matplotlib.image import imread
 
     figure = error_fields(comparison)
@@ -209,13 +211,26 @@ def test_error_fields_share_view_scale_and_gain(comparison: Comparison, tmp_path
     assert "(mm)" in bar.get_xlabel()
     for unit in ("x (m)", "y (m)", "z (m)"):
         assert all(unit in " ".join(text.get_text() for text in panel.texts) for panel in panels)
-    arrows = [next(c for c in panel.collections if isinstance(c, PolyCollection)) for panel in panels]
-    lengths = [np.mean([np.ptp(path.vertices, axis=0).max() for path in arrow.get_paths()]) for arrow in arrows]
+    arrows = [next(c for c in panel.collections if isinstance(c, Quiver)) for panel in panels]
+    lengths = [np.hypot(arrow.U, arrow.V).mean() for arrow in arrows]
     raw, ls, bpnn = (1e3 * np.linalg.norm(policy.field_errors, axis=-1).mean() for policy in comparison.policies)
     assert lengths[0] > lengths[1] > lengths[2]
     assert raw > ls > bpnn
     pixels = imread(save_figure(figure, tmp_path / "fields.png"))
     assert pixels.shape[1] == round(WIDTH * PIXELS_PER_INCH)
+
+
+def test_arrows_of_a_policy_that_misses_by_far_end_at_its_panel(comparison: Comparison) -> None:
+    first, second, third = comparison.policies
+    wild = replace(third, field_errors=300.0 * third.field_errors)
+    figure = error_fields(replace(comparison, policies=(first, second, wild)))
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    picture = np.asarray(canvas.buffer_rgba())[::-1, :, :3]
+    yellow = (picture == viridis([2.0])[0]).all(axis=-1)
+    (left, low), (right, high) = np.rint(figure.axes[2].get_window_extent().get_points()).astype(int)
+    within, beside, above = yellow[low:high, left:right], yellow[low:high, :left], yellow[high:]
+    assert within.sum() > 20 * beside.sum() and not above.any()
 
 
 def test_error_fields_of_one_policy_and_a_gappy_grid(without_reaches: Comparison, tmp_path: Path) -> None:
