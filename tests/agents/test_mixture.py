@@ -68,7 +68,7 @@ class Killed(Exception):
     """Stands for whatever ends a program."""
 
 
-@pytest.mark.parametrize("algorithm", ["ppo_lstm", "ppo_history"])
+@pytest.mark.parametrize("algorithm", ["ppo_lstm", pytest.param("ppo_history", marks=pytest.mark.slow)])
 def test_a_mixture_is_learnt_and_goes_on_to_the_bit(algorithm: str, tmp_path, monkeypatch) -> None:
     """Checkpoints fall between the picks of runs, for the recurrent policy, and between runs."""
     how = FEW | {"n_steps": 8 if algorithm == "ppo_lstm" else 20}

@@ -18,7 +18,7 @@ from pickenv.base import InputError
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 
 ROOT = Path(__file__).parents[2]
-ALGORITHMS = ["ppo", "sac", pytest.param("tqc", marks=pytest.mark.slow)]  # tqc shares sac's lines
+TQC = pytest.param("tqc", marks=pytest.mark.slow)  # shares sac's lines
 
 
 def weights(out: Path) -> list[np.ndarray]:
@@ -50,7 +50,7 @@ def stop_after(monkeypatch, writes: int) -> None:
     monkeypatch.setattr("pickenv.agents.training.training.save_checkpoint", save)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", ["ppo", pytest.param("sac", marks=pytest.mark.slow), TQC])
 def test_two_runs_of_one_seed_give_equal_weights(short, tmp_path, algorithm):
     for name in ("one", "other"):
         train(short(algorithm), tmp_path / name)
@@ -59,7 +59,7 @@ def test_two_runs_of_one_seed_give_equal_weights(short, tmp_path, algorithm):
     assert not same(tmp_path / "one", tmp_path / "third")
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", TQC])
 def test_a_resumed_run_ends_like_an_uninterrupted_one(short, tmp_path, monkeypatch, algorithm):
     steps = 160 if algorithm != "ppo" else 1440
     training = short(algorithm, steps=steps, checkpoint_every=steps // 3, evaluate_every=steps // 3)

@@ -128,13 +128,17 @@ def test_hundreds_of_batched_arms_agree_in_many_settings(study_file, plant):
     assert table["status"].to_pylist().count(OK) > 0.8 * table.num_rows
 
 
-@pytest.mark.parametrize("plant", ["orchard", "field", "geometry_only", "li2016_slave"])
+@pytest.mark.parametrize(
+    "plant", [pytest.param("orchard", marks=pytest.mark.slow), "field", "geometry_only", "li2016_slave"]
+)
 def test_batches_agree_for_other_plants(study_file, plant):
     config = load_study(study_file(('"qiao2026"', f'"{plant}"'), ("[0.0, 0.5]", "[0.0]"), ("[8, 14]", "[12]")))
     compare(replace(config, arms=3, fruit=4, poses=(20,)), SINGLE if plant == "field" else AGREEMENT)
 
 
-@pytest.mark.parametrize(("degrees", "radius"), [(2.0, "1.0"), (2.0, "6.0"), (90.0, "1.0")])
+@pytest.mark.parametrize(
+    ("degrees", "radius"), [(2.0, "1.0"), (2.0, "6.0"), pytest.param(90.0, "1.0", marks=pytest.mark.slow)]
+)
 def test_arms_far_from_their_design_have_the_same_status(study_file, tmp_path, degrees, radius):
     """At two degrees some fruit are out of reach, by more or less than the radius; at ninety most arms need more than
     plain steps, or are not found."""

@@ -230,6 +230,7 @@ def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):
     assert len(comparison.grid.points) == len(comparison.policies[0].field_errors) > 100
 
 
+@pytest.mark.slow
 def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path, unwritten):
     """Angles explain the raw arms, stiffness the calibrated ones, whichever way it is found."""
     protocol, settings = prepared_study(found.protocol.config), list(found.sensitivities)

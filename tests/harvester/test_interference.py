@@ -77,7 +77,9 @@ def test_an_arm_at_rest_is_safe_from_any_neighbour(machine):
         assert arm_distances(machine, slaves)[:, [0, 2]].min() >= machine.body.clearance
 
 
-@pytest.mark.parametrize(("method", "guard"), [("li", True), ("nearest", False), ("search", False)])
+@pytest.mark.parametrize(
+    ("method", "guard"), [("li", True), ("nearest", False), pytest.param("search", False, marks=pytest.mark.slow)]
+)
 def test_no_collision_in_a_hundred_zones(machine, method, guard):
     rng = np.random.default_rng(4)
     for _ in range(100):

@@ -83,7 +83,7 @@ def test_leaves_cost_fruit_and_accuracy(bare: list[Scene], leafy: list[Scene]) -
     assert np.mean([p.visible.mean() for _, p, *_ in leafy]) < 0.9 < np.mean([p.visible.mean() for _, p, *_ in bare])
 
 
-@pytest.mark.parametrize("leaf_area_per_volume", [1.25, 2.7])
+@pytest.mark.parametrize("leaf_area_per_volume", [1.25, pytest.param(2.7, marks=pytest.mark.slow)])
 def test_rendered_leaves_hide_as_much_as_beer_and_lambert_say(leaf_area_per_volume: float) -> None:
     """Two models of the same foliage: leaf by leaf in pictures, and as a medium that dims with depth."""
     rng, shares, expected = np.random.default_rng(0), [], []

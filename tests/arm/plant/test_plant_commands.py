@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from pickenv.arm import causes_of, load_arm, load_plant, shipped_arms
+from pickenv.arm import causes_of, largest_cube, load_arm, load_plant, shipped_arms
 from pickenv.base import InputError
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.commands import plants
@@ -33,7 +33,9 @@ def calibration(tmp_path_factory):
     return fit(plant.arm, measurements, known_frames=True).calibration.save(tmp_path_factory.mktemp("fit") / "arm.npz")
 
 
-def test_iso9283_prints_and_writes_the_raw_and_the_calibrated_arm(calibration, tmp_path):
+def test_iso9283_prints_and_writes_the_raw_and_the_calibrated_arm(calibration, tmp_path, monkeypatch):
+    cube = largest_cube(load_plant("qiao2026").arm.nominal)
+    monkeypatch.setattr("pickenv.arm.plant.iso9283.largest_cube", lambda geometry: cube)
     file = tmp_path / "iso.json"
     words = ("iso9283", "--plant", "qiao2026", "--calibration", calibration, "--cycles", 2, "--json", file)
     said = call(*words)
