@@ -165,6 +165,7 @@ def test_what_a_solution_misses_is_what_the_arm_misses_that_it_stands_for(plante
     np.testing.assert_allclose(equations.misses(data, found), linear, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_fewest_harmonics_within_three_per_cent_of_the_best_are_taken(equations):
     """Judged by hand, count by count."""
     model = equations

@@ -201,7 +201,8 @@ where 0.455 mm was said with a repeat of every third of them among those trained
 """
 
 
-@pytest.mark.parametrize("series", ["A", *(pytest.param(series, marks=pytest.mark.slow) for series in "BCD")])
+@pytest.mark.slow
+@pytest.mark.parametrize("series", "ABCD")
 def test_ur10_geometry(data_folder, series):
     columns, file, nominal, geometric = UR10[series]
     arm, reading = read_set(data_folder, "ur10", columns, f"ur10_ipa_landgraf2021/{file}")

@@ -107,7 +107,13 @@ def erring(rng: np.random.Generator) -> Geometry:
 
 @pytest.mark.parametrize(
     ("section", "offset"),
-    [(POSITION, 0.083), (POSITION, -37.2), (POSITION, 1.7e9), (POSITION + ROTATION, -37.2), (WIRE, 1.7e9)],
+    [
+        pytest.param(POSITION, 0.083, marks=pytest.mark.slow),
+        (POSITION, -37.2),
+        pytest.param(POSITION, 1.7e9, marks=pytest.mark.slow),
+        pytest.param(POSITION + ROTATION, -37.2, marks=pytest.mark.slow),
+        (WIRE, 1.7e9),
+    ],
     ids=["position, 0.083", "position, -37.2", "position, 1.7e9", "pose, -37.2", "wire, 1.7e9"],
 )
 def test_the_offset_lies_within_its_uncertainty(tmp_path: Path, section: str, offset: float) -> None:
