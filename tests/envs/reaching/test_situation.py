@@ -95,14 +95,17 @@ def test_an_increment_is_the_joints_speed_for_one_period():
 
 
 def test_joint_noise_is_as_large_as_asked_and_moves_nothing():
-    found = []
-    for seed in range(20):
-        noisy, same = trial(seed, plant="ideal", joint_noise=2.0)
-        quiet, truth = trial(seed, plant="ideal")
-        np.testing.assert_array_equal(commands(truth), commands(same))
+    found, rng = [], np.random.default_rng(0)
+    both = [ReachVectorEnv(100, plant="ideal", joint_noise=size) for size in (2.0, 0.0)]
+    for envs in both:
+        envs.reset(seed=0)
+    for _ in range(20):
+        actions = rng.uniform(-1, 1, (100, 6))
+        (noisy, *_, same), (quiet, *_, truth) = (envs.step(actions) for envs in both)
+        np.testing.assert_array_equal(truth["joint_command"], same["joint_command"])
         free = np.abs(quiet[:, :6]).max(axis=1) < 0.9  # none is cut off at a limit
         found.append((noisy - quiet)[free, :6])
-    task = ReachEnv(plant="ideal").task
+    task = both[0].task
     errors = np.concatenate(found) * (np.array(task.upper) - task.lower) / 2
     spread = 2e-3 / np.sqrt(len(errors))
     np.testing.assert_allclose(errors.std(axis=0), 2e-3, atol=4 * spread / np.sqrt(2))
