@@ -314,7 +314,6 @@ def test_the_compiled_step_gives_what_the_eager_one_gives():
         np.testing.assert_allclose(a[1], b[1], rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_no_torch_is_needed_on_numpy():
     code = (
         "import sys, gymnasium as gym, pickenv; "
