@@ -9,11 +9,10 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
 
 from pickenv.base import InputError
 from pickenv.envs.shared.arm_env import Options
-from pickenv.envs.shared.native_vector import Seeds
+from pickenv.envs.shared.native_vector import Seeds, set_spaces
 from pickenv.envs.shared.spaces import (
     Rescaling,
     Scaling as Scaling,
@@ -69,11 +68,7 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
         VectorWrapper.__init__(self, env)
         inner: Any = env.unwrapped
         self.scaling, self._most, self._shaping = scaling, inner.task.most_action, shaping
-        self.single_observation_space = scaling.space
-        self.observation_space = batch_space(scaling.space, self.num_envs)
-        if scaling.answers is not None:
-            self.single_action_space = scaling.answers
-            self.action_space = batch_space(scaling.answers, self.num_envs)
+        set_spaces(self, scaling.space, scaling.answers or env.single_action_space)
         self.raw: Any = np.zeros((self.num_envs, scaling.inputs), dtype=np.float32)
         self._idle = np.zeros(self.num_envs, dtype=np.bool_)
 

@@ -1,4 +1,4 @@
-"""`pickenv/Harvest-v0` for PettingZoo, in which the master and each slave arm are agents (extra ``marl``).
+"""`pickenv/Harvest-v0` for PettingZoo, in which the master and each slave arm are agents (extra ``harvest``).
 
 The simulator is the same as in the Gymnasium environment. Each agent moves its three joints. It observes the whole
 machine, followed by a one-hot vector that says which agent it is. All agents get the same reward.

@@ -165,8 +165,8 @@ class Canopies:
         """Return flags (N,) of the arms with no fruit left to try and an empty gripper."""
         return np.asarray((self.held < 0) & (self._waiting() == 0))
 
-    def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the observations of `pickenv/Pick-v0`, clipped to the bounds ``low`` to ``high`` of its space.
+    def observations(self, space: Any) -> NDArray[np.float32]:
+        """Return the observations of `pickenv/Pick-v0`, clipped to the bounds of its ``space``, a box.
 
         They are ``(N, n + 17)`` for n joints, or ``(N, n + 20)`` with feedback from the gripper.
         """
@@ -177,7 +177,7 @@ class Canopies:
         counters = (self.still, time_left, (self.held >= 0) & ~self.off, self.off, untried)
         felt = () if self.orchard.felt is None else (self.felt.T,)
         parts = (sight[SIGHT : SIGHT + n], tools, positions, positions - tools, sight[TURN], counters, *felt)
-        return np.concatenate(parts).T.clip(low, high).astype(np.float32, order="C")
+        return np.concatenate(parts).T.clip(space.low, space.high).astype(np.float32, order="C")
 
     def information(self) -> dict[str, NDArray[Any]]:
         """Return the infos of all arms, by the keys that `pickenv/Pick-v0` explains."""

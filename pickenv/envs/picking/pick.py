@@ -198,8 +198,7 @@ class PickEnv(ArmEnv):
         task, self.orchard = make_pick(**on_ladder("Pick", **arguments))
         super().__init__(task, render_mode, executor)
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        space, self.action_space = pick_spaces(task, self.orchard)
-        self.observation_space, self._bounds = space, (space.low, space.high)
+        self.observation_space, self.action_space = pick_spaces(task, self.orchard)
         self.canopies: Canopies | None = None
         self.scene: PickScene
 
@@ -254,4 +253,4 @@ class PickEnv(ArmEnv):
             self.render()
         infos = canopies.information()
         information = {key: values[0] if values.ndim > 1 else values.item() for key, values in infos.items()}
-        return canopies.observations(*self._bounds)[0], information
+        return canopies.observations(self.observation_space)[0], information

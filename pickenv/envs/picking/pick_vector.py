@@ -75,9 +75,7 @@ class PickVectorEnv(NativeVectorEnv):
         self.task: Task = task
         self.metadata["render_fps"] = task.situation.frames_per_second
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        observations, actions = pick_scene.pick_spaces(task, self.orchard)
-        set_spaces(self, observations, actions)
-        self._bounds = observations.low, observations.high
+        set_spaces(self, *pick_scene.pick_spaces(task, self.orchard))
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
         # Starts of next episodes that are drawn already, by index of the environment (from 0). Each is a pair: the
@@ -155,7 +153,7 @@ class PickVectorEnv(NativeVectorEnv):
         return self.batch.canopies.finished()
 
     def _observation(self) -> NDArray[np.float32]:
-        return self.batch.canopies.observations(*self._bounds)
+        return self.batch.canopies.observations(self.single_observation_space)
 
     def _information(self) -> Information:
         return self.batch.canopies.information()
