@@ -24,6 +24,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -447,8 +448,6 @@ def _is_device(path: Path) -> bool:
 # Locks.
 
 LOCK = ".lock"
-NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)
-"""Errors of a file system that has no locks."""
 
 _held: set[str] = set()
 """Folders that this process has locked. If `locked` is called again for one of these folders, it does nothing."""
@@ -466,41 +465,84 @@ def locked(folder: str | Path, wait: bool = False) -> Iterator[None]:
         InputError: If another process is at work in the folder and ``wait`` is False, or if the folder cannot be
             written.
     """
-    from filelock import FileLock, Timeout  # takes a while, and few commands lock
-
     name = os.path.realpath(folder)
     if name in _held:
         yield
         return
     path = Path(folder)
     new = [parent for parent in (path, *path.parents) if not parent.exists()]
-    lock = FileLock(path / LOCK, timeout=-1 if wait else 0, poll_interval=0.2, on_acquired=_sign)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        lock.acquire()
-    except Timeout:
-        owner = ""
-        with suppress(OSError):  # Windows lets nobody read a locked byte
-            owner = (path / LOCK).read_text(encoding="ascii", errors="replace")
-        busy = f"another run (process {shortened(owner, 20) or 'unknown'}) is at work in {path}"
-        raise InputError(f"{busy}; wait for its end, or give another folder") from None
-    except OSError as error:
-        if error.errno not in NO_LOCKS:
-            raise _unwritable(path, error) from error
+    handle = _take(path, wait)
     _held.add(name)
     try:
         yield
     finally:
         _held.discard(name)
-        with suppress(OSError):  # Windows lets nobody take an open file away
-            (path / LOCK).unlink()
-        lock.release()
+        if sys.platform != "win32":  # where an open file cannot be taken away
+            (path / LOCK).unlink(missing_ok=True)
+        os.close(handle)
         with suppress(OSError):  # the first that is not empty stays, and those above it
             for parent in new:
                 parent.rmdir()
 
 
-def _sign(handle: int) -> None:
-    """Write this process's id into the lock file with the descriptor ``handle``."""
-    os.ftruncate(handle, 0)
-    os.write(handle, str(os.getpid()).encode())
+def _take(folder: Path, wait: bool) -> int:
+    """Lock ``folder``, write this process's id into the lock file, and return the open file's descriptor."""
+    path = folder / LOCK
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        while True:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            if not _lock(handle):
+                if wait:
+                    os.close(handle)
+                    time.sleep(0.2)
+                    continue
+                owner = os.read(handle, 20).decode("ascii", "replace") or "unknown"
+                os.close(handle)
+                busy = f"another run (process {owner}) is at work in {folder}"
+                raise InputError(f"{busy}; wait for its end, or give another folder")
+            if _is_still(path, handle):
+                break
+            os.close(handle)  # its owner took the file away as we came
+        os.truncate(handle, 0)
+        os.write(handle, str(os.getpid()).encode())
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    return handle
+
+
+def _is_still(path: Path, handle: int) -> bool:
+    """Return whether ``path`` still leads to the open file with the descriptor ``handle``."""
+    with suppress(FileNotFoundError):
+        return os.path.samestat(os.fstat(handle), path.stat())
+    return False
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    FAR = 2**30
+    """The byte that is locked: beyond the process id, which others are to read."""
+
+    def _lock(handle: int) -> bool:
+        os.lseek(handle, FAR, os.SEEK_SET)
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            os.lseek(handle, 0, os.SEEK_SET)
+        return True
+
+else:
+    import fcntl
+
+    def _lock(handle: int) -> bool:
+        """Lock an open file for this process; False if another process has locked it."""
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system without locks
+            return True
+        return True
