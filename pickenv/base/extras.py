@@ -18,7 +18,7 @@ from pickenv.base.errors import InputError
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "learn": ("torch",),
-    "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
+    "rl": ("stable_baselines3", "sb3_contrib", "tensorboard", "tqdm"),
     "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
     "scene": ("mujoco",),
     "render": ("mujoco", "imageio_ffmpeg", "moviepy"),

@@ -165,7 +165,7 @@ def plant_times(plant: Plant, times: Mapping[str, float]) -> Plant:
             if effect in effects:
                 effects[effect] = _multiplied(effects[effect], number, factor)
             elif effect not in registry.names("effect"):
-                raise AttributeError(f"there is no effect '{effect}'")
+                raise AttributeError(f"there is no effect '{shortened(effect)}'")
     return replace(plant, effects=tuple(effects.values()))
 
 
@@ -181,11 +181,11 @@ def _multiplied(thing: Any, path: str, factor: float) -> Any:
         return tuple(_multiplied(part, path, factor) for part in thing)
     if not path:
         if not isinstance(thing, float | np.ndarray):
-            raise AttributeError(f"{thing!r} is no size that a factor could multiply")
+            raise AttributeError(f"{shortened(repr(thing))} is no size that a factor could multiply")
         return factor * thing
     name, _, rest = path.partition(".")
     if not is_dataclass(thing) or isinstance(thing, type) or name not in (field.name for field in fields(thing)):
-        raise AttributeError(f"'{type(thing).__name__}' has no number '{name}'")
+        raise AttributeError(f"'{type(thing).__name__}' has no number '{shortened(name)}'")
     return replace(thing, **{name: _multiplied(getattr(thing, name), rest, factor)})
 
 
