@@ -157,7 +157,7 @@ def test_where_some_rows_show_noise_alone_all_rows_have_the_last_word(
 ) -> None:
     """40 rows leave the process ignorant; it still ends as well as with all rows for every start."""
     arm = arm_after_least_squares(dynamic, 1)
-    arm = replace(arm, targets=arm.targets[:, :1])
+    arm = replace(arm, targets=arm.targets[:, :2])
     every = likelihoods(fitted(arm), arm)
     monkeypatch.setattr(gaussian_process, "START_ROWS", 40)
     few = likelihoods(fitted(arm), arm)
